@@ -27,7 +27,7 @@ REPORT_FROM = 10000
 SCENE_S = 30.0
 DEPTH_ERROR = 0.03              # `distance_error` for depth images, as ros4hri.launch sets it
 DEPTH_SHARE = 0.25              # of the errors along the ray that are left with depth
-AFTER_S = (1.0, 3.0, 6.0)       # a place that was told so long ago
+AFTER_S = (0.3, 1.0, 3.0, 6.0)       # a place that was told so long ago
 VOICE_DISTANCES = (0.5, 4.0)    # m
 VOICE_ERRORS = (3.0, 8.0)       # degrees: a good array in a quiet room, a bad one in a loud room
 _ALONG = ("OF_PERSON", "OF_VIEW", "OF_MOMENT")
@@ -122,8 +122,8 @@ def aged_hits(seeds: Sequence[int], after: float) -> List[bool]:
         watch.manager.on_tracked(Kind.FACE, [], watch.now)
         watch.manager.on_tracked(Kind.BODY, [], watch.now)
         for state in watch.manager.snapshot(watch.now).persons:
-            if state.id in made and state.place is not None:
-                hits.append(inside(state.place, watch.room.truth[-1][1][made[state.id]]))
+            if state.id in made and state.place_now is not None:
+                hits.append(inside(state.place_now, watch.room.truth[-1][1][made[state.id]]))
     return hits
 
 

@@ -1,8 +1,8 @@
 """`scripts/benchmark soak`: the stack for hours, while people come and go all the time; what grows, and what is left of
 those who went.
 
-Samples of all processes are written to a file; slopes of memory, and growth of descriptors, threads and parameters, say
-whether that is flat.
+Samples of all processes are written to a file; slopes of memory (the least of each half minute), and growth of
+descriptors, threads and parameters, say whether that is flat.
 """
 
 from __future__ import annotations
@@ -50,6 +50,25 @@ class Grown(NamedTuple):
     fds: float
     threads: float
     cpu_percent: float
+
+
+class LeastMemory:
+    """The least memory of each process since it was last told.
+
+    Nodes hand memory back every 20 s or so: what a look sees of that saw depends on its moment, and a line through
+    looks 30 s apart rises or falls for hours though the floor of the saw is level.
+    """
+
+    def __init__(self) -> None:
+        self._least: Dict[int, float] = {}
+
+    def see(self, pid: int, rss_mb: float) -> None:
+        """A process holds so much (MB) now."""
+        self._least[pid] = min(rss_mb, self._least.get(pid, rss_mb))
+
+    def take(self, pid: int, rss_mb: float) -> float:
+        """Return the least (MB) up to now, when it holds `rss_mb`; the next one is of what is seen from now on."""
+        return min(rss_mb, self._least.pop(pid, rss_mb))
 
 
 def slope(times: Sequence[float], values: Sequence[float]) -> float:
@@ -226,7 +245,7 @@ KEYS = (
     ("restarted", "none", lambda value: not value),
     ("tracebacks", "0", lambda value: value == 0),
     ("errors", "0", lambda value: value == 0))
-EVERY_S = 30.0
+EVERY_S, WATCH_S = 30.0, 2.0
 
 
 def register(commands: argparse._SubParsersAction) -> None:
@@ -323,7 +342,10 @@ def _sample_all(worlds: List, samples: object, minutes: float, stop: threading.E
         if passed >= minutes:
             return
         number += 1
-        stop.wait(max(0.1, min(began + number * EVERY_S, began + 60.0 * minutes) - time.monotonic()))
+        due = min(began + number * EVERY_S, began + 60.0 * minutes)
+        while not stop.wait(min(WATCH_S, max(0.1, due - time.monotonic()))) and time.monotonic() < due:
+            for world in worlds:
+                world.watch()
 
 
 def _line(rows: List[dict], world: str) -> str:

@@ -17,6 +17,7 @@ from typing import Callable, Dict, List, Sequence
 
 import processes
 
+from benchmarks.soak import LeastMemory
 from benchmarks.stack_run import ROOT, StackRun, Usage, name_of, program_of, usage
 from hri_pipeline.core.process import ends_with_parent
 
@@ -50,6 +51,7 @@ class SoakRun:
         self._run = StackRun(folder)
         self._status = folder / "probe.json"
         self._used: Dict[int, float] = {}
+        self._least = LeastMemory()
         self._looked = time.monotonic()
         self._stack = self._start("roslaunch", ["roslaunch", "-p", str(self._run.port)] + launch)
         self._master = rosgraph.Master("/soak", master_uri=self._run.uri)
@@ -57,8 +59,16 @@ class SoakRun:
         self._start("probe", [sys.executable, "-m", "benchmarks.soak_probe", str(self._status), "__name:=soak_probe"])
         self._await(lambda: self._now("persons") > 0, "somebody")
 
+    def watch(self) -> None:
+        """Look at the memory of each process between two samples."""
+        for pid in self._run.pids():
+            held = usage(pid)
+            if held is not None:
+                self._least.see(pid, held.rss_mb)
+
     def sample(self, minutes: float) -> List[Row]:
-        """Return a row for each kind of process, and one for the graph. Raises SoakError when the stack has ended."""
+        """Return a row for each kind of process, and one for the graph; memory is the least since the last sample
+        (`watch`). Raises SoakError when the stack has ended."""
         if self._stack.poll() is not None:
             raise SoakError("{}: the stack has ended; log: {}".format(self.name, self._run.folder / "roslaunch.log"))
         now = time.monotonic()
@@ -67,6 +77,7 @@ class SoakRun:
         for pid in self._run.pids():
             held = usage(pid)
             if held is not None:
+                held = held._replace(rss_mb=self._least.take(pid, held.rss_mb))
                 found.setdefault(PUBLISHERS if program_of(pid) == PUBLISHERS else name_of(pid), {})[pid] = held
         rows = [dict(self._process_row(name, held, passed), minutes=minutes, world=self.name) for name,
                 held in sorted(found.items())]

@@ -7,7 +7,7 @@ from typing import Dict, Mapping, Optional, Sequence, Tuple
 import numpy as np
 
 from hri_pipeline.core.matching.parameters import VOICE_MATCHER_PARAMETERS, VoiceMatcherSettings
-from hri_pipeline.core.matching.voice import FACE, VoiceMatcher, opening_of_units
+from hri_pipeline.core.matching.voice import FACE, VoiceMatch, VoiceMatcher, opening_of_units
 from hri_pipeline.core.simulation.conversation import UNSEEN, directions, hear, make_mouth, make_turns
 
 LENGTH_S = 120.0
@@ -15,11 +15,13 @@ UNSEEN_SHARE = 0.2
 FACE_LATENCY_S = 0.12
 DIRECTION_SD = np.deg2rad(10.0)
 _APART = np.deg2rad((25.0, 40.0))
+_COUNTED = ("right", "wrong", "none", "unseen_none", "unseen_wrong", "said")
 
 
 def run_conversation(random: np.random.Generator, people: int, with_direction: bool, settings: VoiceMatcherSettings,
                      resume_time: float = 0.0) -> Dict[str, float]:
-    """Seconds of speech that were given to the right face, to a wrong one and to none; of those unseen apart."""
+    """Seconds of speech that were given to the right face, to a wrong one and to none; of those unseen apart; `said`:
+    seconds given, each times its likelihood."""
     turns = make_turns(random, people, LENGTH_S, UNSEEN_SHARE)
     mouths = [make_mouth(random, person, turns, LENGTH_S) for person in range(people)]
     heard = hear(random, turns, with_direction, resume_time)
@@ -31,7 +33,7 @@ def run_conversation(random: np.random.Generator, people: int, with_direction: b
     matcher = VoiceMatcher(settings)
     matcher.set_tracked("faces", ["f%d" % person for person in range(people)])
     places = {(FACE, "f%d" % person): 2.0 * _unit(azimuth) for person, azimuth in enumerate(azimuths)}
-    found = dict.fromkeys(("right", "wrong", "none", "unseen_none", "unseen_wrong"), 0.0)
+    found = dict.fromkeys(_COUNTED, 0.0)
     events = _events(mouths, heard)
     at = 0
     for index, now in enumerate(steps):
@@ -43,8 +45,8 @@ def run_conversation(random: np.random.Generator, people: int, with_direction: b
         for voice in tracked:
             if voice in measured:
                 matcher.set_direction(voice, _unit(measured[voice][index]), places)
-        owners = {match.voice: match.id for match in matcher.matches(now)}
-        _judge(turns, heard, owners, now, settings.period, found)
+        matches = {match.voice: match for match in matcher.matches(now)}
+        _judge(turns, heard, matches, now, settings.period, found)
     return found
 
 
@@ -56,7 +58,8 @@ without an array, the voice of one turn goes on with the next, whoever speaks.""
 def whose_voice(seed: int = 1000, conversations: int = 12,
                 given: Optional[Mapping[str, object]] = None) -> Dict[str, float]:
     """Parts of the voiced time of people in view that go to the right face, to a wrong one, to none; of the voiced time
-    of those unseen, that which goes to a face. 2 to 4 faces, two minutes each.
+    of those unseen, that which goes to a face; mean likelihood of all that is given to a face, less the part of it that
+    is right (`too_sure`). 2 to 4 faces, two minutes each.
 
     given: parameters of the matcher other than the defaults. The defaults were chosen with seed 0.
     """
@@ -64,7 +67,7 @@ def whose_voice(seed: int = 1000, conversations: int = 12,
     figures: Dict[str, float] = {}
     for suffix, with_direction, resume_time in CASES:
         random = np.random.default_rng(seed)
-        total = dict.fromkeys(("right", "wrong", "none", "unseen_none", "unseen_wrong"), 0.0)
+        total = dict.fromkeys(_COUNTED, 0.0)
         for number in range(conversations):
             for key, value in run_conversation(random, 2 + number % 3, with_direction, settings, resume_time).items():
                 total[key] += value
@@ -73,6 +76,8 @@ def whose_voice(seed: int = 1000, conversations: int = 12,
             figures["whose_voice_" + key + suffix] = total[key] / seen
         figures["whose_voice_unseen_wrong" + suffix] = total["unseen_wrong"] / (
             total["unseen_wrong"] + total["unseen_none"])
+        figures["whose_voice_too_sure" + suffix] = (total["said"] - total["right"]) / (
+            total["right"] + total["wrong"] + total["unseen_wrong"])
     return figures
 
 
@@ -97,13 +102,16 @@ def _events(mouths, heard) -> list:
     return sorted(events, key=lambda event: event[:2])
 
 
-def _judge(turns, heard, owners: Mapping[str, str], now: float, period: float, found: Dict[str, float]) -> None:
+def _judge(turns, heard, matches: Mapping[str, VoiceMatch], now: float, period: float, found: Dict[str, float]
+           ) -> None:
     """Count the time of one comparison for who speaks now."""
     number = next((number for number, turn in enumerate(turns)
                    if any(start <= now <= end for start, end in turn.phrases)), None)
     if number is None:
         return
-    turn, owner = turns[number], owners.get(heard.voice_of_turn[number], "")
+    turn, match = turns[number], matches.get(heard.voice_of_turn[number])
+    owner = "" if match is None else match.id
+    found["said"] += 0.0 if match is None else period * match.confidence
     if turn.speaker == UNSEEN:
         found["unseen_wrong" if owner else "unseen_none"] += period
     else:

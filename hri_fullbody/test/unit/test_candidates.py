@@ -6,13 +6,14 @@ import cv2
 import numpy as np
 import pytest
 
-from hri_fullbody.core.detection.windows import PERSON_BOX_WINDOWS, FaceBox
+from hri_fullbody.core.detection.windows import FACE_WINDOW_SIZES, PERSON_BOX_WINDOWS, FaceBox
 from hri_fullbody.core.tracking import candidates
 from hri_fullbody.core.tracking.candidates import CandidateQueue, RefusedPlaces
 
 BOX = np.array([100.0, 100.0, 200.0, 400.0])
 BESIDE = np.array([180.0, 100.0, 280.0, 400.0])
 AWAY = np.array([400.0, 100.0, 500.0, 400.0])
+FACE = FaceBox("f", np.array([130.0, 100.0, 170.0, 140.0]))
 
 
 @pytest.fixture(autouse=True)
@@ -92,13 +93,70 @@ def test_a_box_that_the_detector_is_unsure_of_has_one_window_and_must_show_a_sur
 
 
 def test_a_figure_too_small_for_its_face_is_none():
-    face = FaceBox("f", np.array([130.0, 100.0, 170.0, 140.0]))
     for extent, found in ((230.0, False), (250.0, True)):
         queue = CandidateQueue()
-        queue.offer_faces([face], 0.0)
+        queue.offer_faces([FACE], 0.0)
         candidate = queue.take()
-        candidate.judge(estimate(0.9, extent=extent), face, 0.5)
-        assert (candidate.judge(estimate(0.9, extent=extent), face, 0.5).found is not None) == found
+        candidate.judge(estimate(0.9, extent=extent), FACE, 0.5)
+        assert (candidate.judge(estimate(0.9, extent=extent), FACE, 0.5).found is not None) == found
+
+
+WHERE_THE_NOSE_IS = {"in the face": (150.0, 120.0), "elsewhere": (250.0, 120.0)}
+
+
+@pytest.mark.parametrize("looks, found", [
+    ([("in the face", 0.7), ("in the face", 0.7)], (1, None)),
+    ([("in the face", 0.7), ("elsewhere", 0.9)], (0, FACE_WINDOW_SIZES[0])),
+    ([("in the face", 0.7), ("in the face", 0.1)], (0, FACE_WINDOW_SIZES[0])),
+    ([("elsewhere", 0.9), ("in the face", 0.7), ("in the face", 0.7)], (2, None)),
+    ([("in the face", 0.3), ("elsewhere", 0.9), ("in the face", 0.7), ("elsewhere", 0.9)], (2, FACE_WINDOW_SIZES[1]))])
+def test_the_body_of_a_face_has_its_nose_in_it_in_whichever_window(looks, found):
+    queue = CandidateQueue()
+    queue.offer_faces([FACE], 0.0)
+    candidate, estimates = queue.take(), [estimate(score, nose=WHERE_THE_NOSE_IS[nose]) for nose, score in looks]
+    results = [candidate.judge(one, FACE, 0.5) for one in estimates]
+    assert all(result.found is None and not result.failed for result in results[:-1])
+    assert results[-1].found is estimates[found[0]] and results[-1].anchor == found[1]
+
+
+def test_who_is_gone_waits_no_more():
+    queue = CandidateQueue()
+    queue.offer_faces([FACE], 0.0)
+    queue.offer_faces([FACE], 0.1)
+    assert len(queue) == 1, "a face waits once"
+    queue.offer_boxes([BOX], [], [BOX], 0.2)
+    queue.offer_boxes([AWAY], [], [AWAY], 0.3)
+    assert len(queue) == 2
+    queue.offer_faces([], 0.4)
+    assert len(queue) == 1 and queue.take().box is AWAY and queue.take() is None
+
+
+def test_a_face_without_a_body_rests_twice_as_long_each_time_until_a_body_is_found():
+    queue, stamp = CandidateQueue(), 0.0
+
+    def is_tried(at):
+        queue.offer_faces([FACE], at)
+        return queue.take() is not None
+
+    for pause in (0.5, 1.0, 2.0, 4.0, 8.0, 8.0):
+        queue.give_up("f", stamp)
+        assert not is_tried(stamp + pause - 0.01) and is_tried(stamp + pause)
+        stamp += pause
+    queue.give_up("f", stamp)
+    queue.found("f")
+    assert is_tried(stamp), "its body is lost at once: nothing is held against it"
+    queue.give_up("f", stamp)
+    assert not is_tried(stamp + 0.49) and is_tried(stamp + 0.5)
+
+
+def test_of_faces_that_were_tried_in_vain_and_are_gone_nothing_is_kept():
+    queue = CandidateQueue()
+    for number in range(1000):
+        queue.give_up("f%d" % number, 0.0)
+        if number % 2:
+            queue.found("f%d" % number)
+        queue.offer_faces([], 0.0)
+    assert max(len(known) for known in vars(queue).values() if hasattr(known, "__len__")) <= 101
 
 
 def test_a_box_without_a_body_has_one_window_for_a_while():

@@ -63,6 +63,33 @@ def test_the_height_is_that_of_the_others():
     assert ground.camera_height("0") is None
 
 
+def test_nobody_tells_the_height_for_oneself_and_who_kneels_for_nobody():
+    ground = GroundPlane()
+    ground.add("a", seen(people.standing()), SURE, 0.0)
+    ground.add("kneels", seen(people.standing().legs((0.0, 0.0, -0.25), (-0.24, 0.0, -0.25))), SURE, 0.0)
+    ground.solve(0.0)
+    assert ground.camera_height("a") is None and ground.camera_height("kneels") is not None
+
+
+def test_who_is_seen_counts_for_half_a_minute_after_the_last_sight():
+    ground, pitch = GroundPlane(), np.radians(25.0)
+    before = ground.up
+    for stamp in range(40):
+        ground.add("a", seen(people.standing(), pitch), SURE, float(stamp))
+    for stamp, learnt in ((39.0, True), (68.0, True), (70.0, False)):
+        ground.solve(stamp)
+        assert (np.degrees(np.arccos(min(1.0, float(ground.up @ before)))) > 5.0) == learnt
+
+
+def test_one_odd_look_at_somebody_turns_the_vertical_by_a_part_only():
+    ground = GroundPlane()
+    for index in range(50):
+        ground.add("a", seen(people.standing(), np.radians(10.0)), SURE, 0.1 * index)
+    ground.add("a", seen(people.standing(), np.radians(40.0)), SURE, 5.0)
+    ground.solve(5.0)
+    assert np.degrees(np.arccos(ground.up @ up_of(np.radians(10.0), 0.0))) < 4.0
+
+
 def test_posture_before_a_steep_camera_is_told_with_the_learnt_vertical():
     pitch, body, ground = np.radians(35.0), BehaviourRecognizer(), GroundPlane()
     told = []

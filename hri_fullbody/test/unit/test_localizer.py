@@ -122,6 +122,14 @@ def test_feet_that_cannot_stand_on_the_floor_say_nothing():
     assert floor_ratio(points, rays, np.ones(33), -UP, 0.9) is None        # above the horizon
 
 
+def test_a_size_that_is_measured_otherwise_for_long_is_learnt_anew():
+    scale = BodyScale()
+    for ratio, images in ((1.0, 2000), (1.1, 450)):
+        for _ in range(images):
+            scale.update(depth_cue(ratio, np.array([0.0, 0.0, 3.0])))
+    assert scale.value == pytest.approx(1.095, abs=0.008)
+
+
 def test_without_cues_the_scale_is_the_average_and_one_outlier_moves_it_little():
     scale = BodyScale()
     scale.update(None)
@@ -196,14 +204,35 @@ def test_something_before_a_wrist_does_not_move_it():
 @pytest.mark.parametrize("hidden, ratio", [
     ([], 1.0), ([12], 1.0), ([12, 24], None), ([11, 23], None), ([11, 12, 23], 0.52), ([11, 12, 23, 24], 0.52)])
 def test_a_trunk_half_hidden_by_something_else_is_no_measurement(hidden, ratio):
+    found = trunk_before(hidden, 1.2, np.ones(33))
+    assert found is None if ratio is None else found == pytest.approx(ratio, abs=0.05)
+
+
+@pytest.mark.parametrize("without_depth, unseen, ratio", [
+    ([12], [], 1.0), ([12, 24], [], 1.0), ([11, 12, 23], [], None), ([11, 12, 23, 24], [], None),
+    ([], [12], 1.0), ([], [11, 12, 23], None), ([24], [12], 1.0), ([24, 23], [12], None)])
+def test_two_joints_of_the_trunk_that_are_seen_and_have_a_depth_tell_its_distance(without_depth, unseen, ratio):
+    confidence = np.ones(33)
+    confidence[unseen] = 0.1
+    found = trunk_before(without_depth, np.nan, confidence)
+    assert found is None if ratio is None else found == pytest.approx(ratio, abs=0.05)
+
+
+def test_what_is_before_joints_that_are_not_seen_is_not_the_trunk():
+    confidence = np.ones(33)
+    confidence[[12, 24]] = 0.1
+    assert trunk_before([12, 24], 1.2, confidence) == pytest.approx(1.0, abs=0.05)
+
+
+def trunk_before(joints, distance, confidence):
+    """Ratio of a trunk 2.5 m away in a depth image (m) which is `distance` at these joints."""
     points = STANDING + np.array([0.0, 0.0, 2.5])
     depth, pixels = depth_of(points), CAMERA.project(points)
     middle = pixels[[11, 12, 23, 24]].mean(axis=0)
-    for joint in hidden:
+    for joint in joints:
         x, y = (pixels[joint] + 0.2 * (middle - pixels[joint])).astype(int)
-        depth[y - 15:y + 15, x - 15:x + 15] = 1.2
-    found = trunk_ratio(depth, pixels, points, np.ones(33), (1280, 720))
-    assert found is None if ratio is None else found == pytest.approx(ratio, abs=0.05)
+        depth[y - 15:y + 15, x - 15:x + 15] = distance
+    return trunk_ratio(depth, pixels, points, confidence, (1280, 720))
 
 
 def newborn(shape, turned_away=False, face=None, stamps=(0.0,), distance=3.0, **around):

@@ -31,12 +31,33 @@ def test_other_arms_do_not_point(pose):
     assert told(pose.seen())[-1] is None
 
 
+def stretched(pose, side, height, aside=0.0):
+    """An arm that is stretched out forwards, `height` rad above the level of the shoulder, turned `aside` rad."""
+    way = np.array([np.cos(height) * np.cos(aside), np.cos(height) * np.sin(aside), np.sin(height)])
+    return pose.arm(side, tuple(0.28 * way), tuple(0.54 * way))
+
+
+@pytest.mark.parametrize("degrees, points", [(-48, False), (-42, True), (0, True), (47, True), (53, False)])
+def test_an_arm_that_hangs_or_is_raised_steeply_does_not_point(degrees, points):
+    assert (told(stretched(people.standing(), "right", np.radians(degrees)).seen())[-1] is not None) == points
+
+
+@pytest.mark.parametrize("speed", [0.15, 1.5], ids=["held less still", "swept"])
+@pytest.mark.parametrize("still, sign", [("left", 1.0), ("right", -1.0)])
+def test_of_two_stretched_arms_the_stiller_one_points(still, sign, speed):
+    moving = {"left": "right", "right": "left"}[still]
+
+    def pointing(time):
+        pose = stretched(people.standing(), still, 0.0, sign * 0.5)
+        return stretched(pose, moving, 0.0, sign * (-0.5 + speed * time)).seen()
+
+    both, alone = told(pointing)[-1], told(stretched(people.standing(), still, 0.0, sign * 0.5).seen())[-1]
+    assert both.direction == pytest.approx(alone.direction, abs=1e-6)
+
+
 def test_an_arm_that_sweeps_does_not_point():
-    def sweeping(time):
-        angle = 1.5 * time
-        return people.standing().arm("right", (0.28 * np.cos(angle), 0.28 * np.sin(angle), 0.0),
-                                     (0.54 * np.cos(angle), 0.54 * np.sin(angle), 0.0)).seen()
-    assert all(one is None for one in told(sweeping))
+    assert all(one is None for one in told(
+        lambda time: stretched(people.standing(), "right", 0.0, 1.5 * time).seen()))
 
 
 def test_the_ray_ends_on_a_body_else_on_the_floor():

@@ -244,7 +244,8 @@ def test_without_a_sign_of_feet_nobody_is_told_to_sit():
                 for stamp in (np.arange(15) / 10.0).tolist()][-1]
 
     seated = people.seated().without(kp.LEFT_ANKLE, kp.RIGHT_ANKLE).seen()
-    assert told(seated, (0.1, 0.4)) == PostureClass.SITTING and told(seated, (0.1, 0.2)) == PostureClass.OTHER
+    assert told(seated, (0.1, 0.4)) == told(seated, (0.4, 0.1)) == PostureClass.SITTING, "one foot is enough"
+    assert told(seated, (0.1, 0.2)) == PostureClass.OTHER
     assert told(seated, (0.1, np.nan)) == PostureClass.SITTING, "a foot below the image may be there"
     standing = people.standing().without(kp.LEFT_ANKLE, kp.RIGHT_ANKLE).seen()
     assert told(standing, (0.1, 0.2)) == PostureClass.STANDING
@@ -414,6 +415,19 @@ def test_a_hand_that_the_network_guesses_is_not_on_the_face():
     assert last(without_guessed_limbs(points, pixels, 1280, 2000)).attitude == AttitudeClass.HANDS_ON_FACE
     pixels[kp.RIGHT_WRIST, 2] = 0.3
     assert last(without_guessed_limbs(points, pixels, 1280, 2000)).attitude == AttitudeClass.OTHER
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("guessed", [
+    kp.LEFT_ELBOW, kp.LEFT_WRIST, kp.RIGHT_ELBOW, kp.RIGHT_WRIST], ids=[
+    "left elbow", "left wrist", "right elbow", "right wrist"])
+def test_an_arm_of_which_elbow_or_wrist_is_guessed_has_no_hand_on_the_face(side, guessed):
+    body, confidence = BehaviourRecognizer(), np.ones(18)
+    confidence[guessed] = 0.3
+    for stamp in (np.arange(15) / 10.0).tolist():
+        told = body.update(people.on_face(side).seen(), STATURE, stamp, UP, confidence=confidence)
+    is_sure = (guessed in (kp.LEFT_ELBOW, kp.LEFT_WRIST)) != (side == "left")
+    assert (told.attitude == AttitudeClass.HANDS_ON_FACE) == is_sure
 
 
 @pytest.mark.parametrize("ahead, knuckles, on_face", [
@@ -592,6 +606,19 @@ def test_wrong_input_is_refused_and_changes_nothing(change, message):
     with pytest.raises(ValueError, match=message):
         body.update(**dict(arguments, **change))
     assert body.update(**arguments).attitude == AttitudeClass.HANDS_RAISED
+
+
+@pytest.mark.parametrize("odd", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_point_of_which_one_number_is_not_known_is_not_seen(odd, axis):
+    whole, broken, without = (people.raised().seen() for _ in range(3))
+    broken[kp.LEFT_WRIST, axis], without[kp.LEFT_WRIST] = odd, math.nan
+    told = []
+    for points in (broken, without):
+        body = BehaviourRecognizer()
+        show(body, whole, 1.0)
+        told.append(show(body, points, 3.0, start=1.1))
+    assert told[0] == told[1] and told[0][-1].attitude == AttitudeClass.OTHER
 
 
 def test_the_input_stays_as_it_is():

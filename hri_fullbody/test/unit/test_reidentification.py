@@ -56,8 +56,53 @@ def test_who_comes_back_in_the_same_clothes_is_known_again_once():
 
 
 def test_other_clothes_too_far_or_too_late_are_somebody_else():
-    for begin, new in ((21.0, body("b", 2)), (20.2, body("b", 1, 5.0)), (31.0, body("b", 1))):
+    for begin, new in ((21.0, body("b", 2)), (20.2, body("b", 1, 5.0)), (30.6, body("b", 1)), (31.0, body("b", 1))):
         assert told(after(body("a", 1)), begin, begin + 3.0, new) == []
+
+
+@pytest.mark.parametrize("more, is_told", [
+    (dict(noise=1.2), True), (dict(noise=1.5), False), (dict(noise=1.5, face="new"), False),
+    (dict(stature=1.75, stature_sd=0.03), True), (dict(stature=1.72, stature_sd=0.03), False)],
+    ids=["clothes alike", "clothes", "clothes, a face that nobody had", "stature alike", "stature"])
+def test_what_differs_too_much_is_of_somebody_else_however_well_all_else_fits(more, is_told):
+    known = after(body("a", 1, face="old", stature=1.80, stature_sd=0.03))
+    assert told(known, 20.2, 23.0, body("b", 1, **more)) == [("b", "a")] * is_told
+
+
+@pytest.mark.parametrize("x, is_told", [(0.2, [("b", "a")]), (5.0, [])])
+def test_the_first_place_counts_also_of_who_gets_it_later_than_the_clothes(x, is_told):
+    known = after(body("a", 1))
+    told(known, 20.2, 20.6, body("b", 1)._replace(place=None))
+    assert told(known, 20.6, 23.0, body("b", 1, x)) == is_told
+
+
+@pytest.mark.parametrize("placed", ["a", "b", ""])
+def test_without_a_place_of_both_the_clothes_tell(placed):
+    old, new = (body(name, 1, 5.0 * (name == "b")) for name in "ab")
+    old, new = (one if one.id == placed else one._replace(place=None) for one in (old, new))
+    assert told(after(old), 20.2, 23.0, new) == [("b", "a")]
+
+
+def test_two_who_were_seen_at_once_are_two():
+    known = after(body("c", 3))
+    show(known, 20.0, 25.0, body("a", 1))
+    show(known, 25.0, 25.5, body("a", 1), body("b", 1))
+    assert told(known, 25.5, 28.0, body("b", 1)) == []
+
+
+def test_who_was_found_again_is_nobody_else_who_comes():
+    known = after(body("a", 1))
+    assert told(known, 21.0, 23.0, body("b", 1)) == [("b", "a")]
+    assert told(known, 23.0, 26.0, body("b", 1), body("c", 1)) == []
+
+
+def test_who_comes_and_goes_is_known_each_time():
+    known = after(body("a0", 1))
+    for number in range(1, 12):
+        begin = 18.0 + 4.0 * number
+        assert told(known, begin - 1.0, begin + 1.0, body("a%d" % number, 1)) == [
+            ("a%d" % number, "a%d" % (number - 1))]
+        known.update([], begin + 1.0)
 
 
 def test_who_is_still_there_or_only_hidden_is_not_lost():
@@ -98,11 +143,25 @@ def test_where_strangers_come_all_the_time_a_return_is_less_likely():
     assert likelihoods[1] < likelihoods[0] - 0.005
 
 
+def test_who_is_there_from_the_start_is_no_stranger_that_comes():
+    likelihoods = []
+    for number in (0, 12):
+        known, there = BodyReidentifier(10.0), [body("s%d" % one, 100 + one) for one in range(number)]
+        show(known, 0.0, 2.0, *there)
+        show(known, 48.0, 52.0, body("a", 1))
+        known.update([], 52.0)
+        (found,) = show(known, 53.0, 55.0, body("b", 1))
+        likelihoods.append(found.likelihood)
+    assert likelihoods[1] >= likelihoods[0]
+
+
 def test_a_stature_that_differs_is_somebody_else_and_one_that_is_measured_badly_says_nothing():
     def tall(name, stature, sd):
         return body(name, 1, stature=stature, stature_sd=sd)
     assert told(after(tall("a", 1.80, 0.03)), 21.0, 24.0, tall("b", 1.62, 0.03)) == []
     assert told(after(tall("a", 1.80, 0.15)), 21.0, 24.0, tall("b", 1.62, 0.15)) == [("b", "a")]
+    assert told(after(tall("a", 1.80, 0.03)), 21.0, 24.0, body("b", 1)) == [("b", "a")]
+    assert told(after(body("a", 1)), 21.0, 24.0, tall("b", 1.62, 0.03)) == [("b", "a")]
 
 
 def test_a_face_that_goes_on_is_the_same_human_and_that_of_another_is_not():

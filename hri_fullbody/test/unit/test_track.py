@@ -1,9 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from synthetic_people import standing_at
 
 from hri_fullbody.core.detection.pose_estimator import PoseDetection
-from hri_fullbody.core.detection.windows import FaceBox
+from hri_fullbody.core.detection.windows import FACE_WINDOW_SIZES, FaceBox, window_from_face
 from hri_fullbody.core.tracking.reidentification import blend, describe, difference
 from hri_fullbody.core.tracking.track import BodyMotion, BodyTrack, ConstantVelocity
 from hri_pipeline.core.image_rotation import ImageRotation
@@ -25,6 +27,10 @@ def test_an_older_stamp_changes_nothing():
     known = ConstantVelocity(np.zeros(1), 1.0, 1.0, 5.0)
     known.update(np.array([100.0]), 1.0, 4.0, 1.0)
     assert (known.value[0], known.stamp) == (0.0, 5.0)
+    known.update(np.array([10.0]), 1.0, 6.0, 1.0)
+    assert known.velocity[0] > 1.0
+    for stamp in (6.0, 5.0, 0.0):
+        assert known.expected(stamp) == known.value and known.predict(stamp, 1.0)[1] == known.predict(6.0, 1.0)[1]
 
 
 def test_velocity_in_metres():
@@ -35,6 +41,10 @@ def test_velocity_in_metres():
     assert motion.depth_distance(np.array([0.0, 0.0, 3.0]), 2.0) > 3.0
     assert motion.depth_distance(None, 2.0) == 0.0
     assert BodyMotion(np.zeros(2), 1.0, None, 0.0).velocity is None
+    motion.update(np.array([300.0, 300.0]), 300.0, None, 3.0)
+    assert motion.velocity == pytest.approx([0.0, 0.0, -1.0], abs=0.15)
+    motion.update(np.array([300.0, 300.0]), 300.0, np.array([0.0, 0.0, 3.0]), 4.0)
+    assert motion.velocity.tolist() == [0.0, 0.0, 0.0], "how somebody walked more than 2 s ago says nothing any more"
 
 
 @pytest.mark.parametrize("quarters", [1, 2, 3])
@@ -54,6 +64,69 @@ def test_a_body_is_expected_where_it_goes_in_an_image_that_is_turned_from_now_on
     assert track.detection.points == pytest.approx(turn.vectors(place + (0.55, 0.0, 0.0)))
     assert track.window(None, 1.3).centre == pytest.approx(turn.pixels(np.array([window.centre]))[0], abs=1e-6)
     assert track.had_face_at(face.turned(turn), 0.0) and not track.had_face_at(face, 0.0)
+    track.update(replace(track.detection, points=turn.vectors(place + (0.65, 0.0, 0.0))), 1.3, True)
+    assert track.motion.velocity == pytest.approx(turn.vectors(velocity), abs=0.1)
+
+
+def face_at(x, name="f"):
+    return FaceBox(name, np.array([x - 30.0, 100.0, x + 30.0, 180.0]))
+
+
+def walking(speed=100.0):
+    """A body that has gone to the right with its face (px/s), seen ten times a second until 1 s."""
+    track = BodyTrack("b", PoseDetection(standing_at(500, 400)), 0.0, TrackLife(0.0, 0.1, 1.0), face_at(500))
+    for number in range(1, 11):
+        track.link(face_at(500 + 0.1 * speed * number), 0.1 * number)
+        track.update(PoseDetection(standing_at(500 + 0.1 * speed * number, 400)), 0.1 * number, True)
+    return track
+
+
+def test_a_body_that_is_not_seen_goes_on_and_fades_more_slowly_where_turns_are_rare():
+    track = walking()
+    (x, y), score = track.estimate.centre, track.estimate.score
+    ways = np.array([track.expected(stamp).centre - (x, y) for stamp in (1.0, 1.2, 1.5)])
+    assert ways == pytest.approx(np.array([[0.0, 0.0], [20.0, 0.0], [43.0, 0.0]]), abs=4.0)
+    assert score == track.expected(1.0).score > track.expected(1.2).score > track.expected(1.5).score
+    rare = walking()
+    rare.wait = 2.0
+    assert rare.expected(1.5).score > 0.7 * score > track.expected(1.5).score
+
+
+@pytest.mark.parametrize("speed", [0.0, 100.0])
+def test_a_body_moves_with_the_image_when_the_camera_turns(speed):
+    track, way = walking(speed), np.array([50.0, -20.0])
+    before, window = track.expected(1.2).centre, np.array(track.window(None, 1.2).centre)
+    track.carry(0.5 * way)
+    track.carry(0.5 * way)
+    assert track.expected(1.2).centre - before == pytest.approx(way)
+    assert np.array(track.window(None, 1.2).centre) - window == pytest.approx(way)
+    assert track.place - track.estimate.centre == pytest.approx(way)
+    seen = face_at(500 + speed)
+    assert track.had_face_at(replace(seen, box=seen.box + np.tile(way, 2)), 1.0)
+    track.update(PoseDetection(standing_at(550 + speed, 380)), 1.2, True)
+    assert track.place == pytest.approx(track.estimate.centre), "what it has turned is in what is seen"
+
+
+def test_between_two_measurements_a_body_is_shown_where_its_own_face_goes():
+    track = walking()
+    track.link(face_at(640), 1.2)
+    assert track.moved_with_face(1.2) == pytest.approx([40.0, 0.0])
+    assert track.moved_with_face(1.3) == pytest.approx(track.moved(1.3)), "no face in that image"
+    track.link(face_at(700, "new"), 1.3)
+    assert track.moved_with_face(1.3) == pytest.approx(track.moved(1.3)), "how far apart two faces are is no way"
+    new = BodyTrack("b", PoseDetection(standing_at(500, 400)), 0.0, TrackLife(0.0, 0.1, 1.0), face_at(500))
+    new.link(face_at(540), 0.1)
+    assert new.moved_with_face(0.1) == pytest.approx([40.0, 0.0]), "from its first image on"
+
+
+def test_the_window_below_the_face_that_has_shown_the_body_is_used_for_two_seconds():
+    track, face = walking(), face_at(600)
+    own = track.window(face, 1.0)
+    track.hold_anchor(FACE_WINDOW_SIZES[1], 1.0)
+    anchored = window_from_face(face, FACE_WINDOW_SIZES[1])
+    assert [track.window(face, stamp) == anchored for stamp in (1.0, 2.9, 3.1)] == [True, True, False]
+    assert track.window(None, 1.0) == own and [track.next_anchor(attempt) for attempt in (0, 1)] == [
+        FACE_WINDOW_SIZES[1], FACE_WINDOW_SIZES[2 % len(FACE_WINDOW_SIZES)]]
 
 
 @pytest.mark.parametrize("last_seen, waited_for", [(1.4, True), (1.2, False)])
@@ -80,14 +153,40 @@ def test_appearance_tells_colours_apart_and_forgives_light():
     assert difference(red, dim) < 0.3
     assert difference(red, blue) > 0.6
     assert difference(describe(picture((20, 20, 20)), body), describe(picture((230, 230, 230)), body)) > 0.5
-    assert difference(red, None) is None
+    assert difference(red, None) is None and difference(None, red) is None
 
 
-def test_an_unseen_trunk_has_no_appearance():
+@pytest.mark.parametrize("shoulder", [11, 12])
+def test_an_unseen_trunk_has_no_appearance(shoulder):
     body = standing_at(300, 400)
-    body.confidence[11] = 0.1
+    body.confidence[shoulder] = 0.1
     assert describe(picture((30, 30, 220)), body) is None
     assert describe(picture((30, 30, 220)), standing_at(-800, 400)) is None
+
+
+@pytest.mark.parametrize("x, y, other_side", [
+    (0, 400, np.s_[:, 1100:]), (1280, 400, np.s_[:, :180]), (300, 80, np.s_[500:]), (300, 720, np.s_[:150])],
+    ids=["left", "right", "top", "bottom"])
+def test_of_a_body_that_a_border_cuts_what_is_in_the_image_counts_and_nothing_from_the_other_side(x, y, other_side):
+    image = np.full((720, 1280, 3), 128, np.uint8)
+    plain = describe(image, standing_at(x, y))
+    image[other_side] = 30, 30, 220
+    assert np.array_equal(describe(image, standing_at(x, y)), plain)
+
+
+@pytest.mark.parametrize("height, parts", [
+    (312, None), (320, [1, 0, 0, 0, 0]), (355, [1, 0, 1, 0, 0]), (360, [1, 1, 1, 0, 0]), (720, [1, 1, 1, 1, 1])])
+def test_a_part_of_which_hardly_anything_is_in_the_image_is_not_seen(height, parts):
+    """The chest begins at 309 px, the belly at 352 px."""
+    seen = describe(picture((30, 30, 220))[:height], standing_at(300, 400))
+    assert (None if seen is None else seen.sum(axis=1).round(9).tolist()) == parts
+
+
+@pytest.mark.parametrize("known, shown", [(True, False), (False, True)])
+def test_a_part_that_one_of_two_images_shows_is_that_of_this_image(known, shown):
+    whole = describe(picture((30, 30, 220)), standing_at(300, 400))
+    old, new = (np.where(np.arange(5)[:, None] < 4, whole, whole * there) for there in (known, shown))
+    assert blend(old, new, 0.1) == pytest.approx(whole)
 
 
 def test_appearance_is_learnt_slowly():

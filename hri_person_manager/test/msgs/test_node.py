@@ -5,6 +5,7 @@ import time
 from unittest.mock import MagicMock
 
 import genpy
+import numpy as np
 import pytest
 
 from hri_person_manager.core import persons
@@ -14,7 +15,7 @@ from hri_person_manager.core.match_graph import MatchGuard
 from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
 from hri_person_manager.core.persons import PersonState, Snapshot
 from hri_person_manager.core.register import PersonRecord, PersonRegister, RegisterError
-from hri_person_manager.ros import inputs, persistence
+from hri_person_manager.ros import inputs, persistence, web
 from hri_person_manager.ros import node as module
 from hri_person_manager.ros.inputs import OtherManagers, double_persons
 from hri_person_manager.ros.navigation import PeopleTopic
@@ -22,6 +23,7 @@ from hri_person_manager.ros.node import PersonManagerNode
 from hri_person_manager.ros.persistence import RestartState
 from hri_person_manager.ros.services import GalleryAnswer, PersonServices
 from hri_person_manager.srv import EnrolRequest, ForgetRequest, MergeRequest
+from hri_pipeline.client.topics import Engagement, Location
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.timing import StaleStampFilter
 from hri_pipeline.srv import GalleryResponse
@@ -237,3 +239,17 @@ def test_a_clock_that_has_jumped_is_told_once_and_looked_at_again_soon(monkeypat
     node._store.clock_problem = ""
     node._expire()
     assert node._next_expiry - time.monotonic() > 2 * module.DOUBT_S
+
+
+@pytest.mark.parametrize("age, across", [(0.0, (0.039, 0.041)), (0.4, (0.15, 0.25)), (60.0, (0.3, 0.5))])
+def test_the_ellipse_on_the_page_grows_while_no_place_comes(age, across):
+    """Until a second after the last one: places come all the time, unless time stands still."""
+    location = Location("map", Pose(np.eye(3), np.array([2.0, 0.0, 1.6])), np.diag([0.04, 0.0016, 0.0016]), 10.0)
+    person = MagicMock(id="ann", location=location, location_age=age, location_confidence=1.0,
+                       engagement=Engagement.UNKNOWN)
+    view = web.PeopleView.__new__(web.PeopleView)
+    view._came, view._pictures = {}, MagicMock(frame="camera")
+    shown = view._person(person)
+    assert across[0] < np.sqrt(shown.covariance[1, 1]) < across[1] and shown.pose is location.pose
+    person.location_confidence = 0.0
+    assert view._person(person).pose is None

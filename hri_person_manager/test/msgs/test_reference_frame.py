@@ -1,7 +1,9 @@
 """Which sensors are told to lack a transform to the reference frame, and for how long."""
 
 import logging
+from unittest.mock import MagicMock
 
+import numpy as np
 import pytest
 
 from hri_person_manager.core.features import FeaturePose, PlaceSource
@@ -10,6 +12,10 @@ from hri_person_manager.ros.inputs import ReferenceFrame
 from hri_pipeline.core.geometry import Pose
 
 HERE = Pose.identity()
+UPRIGHT = Pose(np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]]), np.array([0.0, 0.5, 2.0]))
+"""A face before a camera in its optical frame, which looks into it."""
+LEVEL = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
+"""The optical frame of a camera in a level one."""
 
 
 class Clock:
@@ -59,3 +65,39 @@ def test_each_sensor_is_told_once_and_only_while_something_comes_of_it(clock, ca
     clock.now += 11.0
     assert place(reference, "good", 100) == "map"
     assert reference.unconnected == set()
+
+
+def see(reference, pose, source=PlaceSource.FACE, sensor="usb_cam", images=10):
+    """The last of the places of a face in so many images."""
+    return [reference.place(FeaturePose(source, "f1", sensor, pose, image, 0)) for image in range(images)][-1]
+
+
+def test_a_reference_frame_that_is_a_cameras_is_told_and_distances_are_right_all_the_same(caplog):
+    with caplog.at_level(logging.WARNING, "rosout"):
+        reference = ReferenceFrame("usb_cam", Sensors("usb_cam"))
+        assert not see(reference, UPRIGHT, PlaceSource.VOICE).is_optical, "a voice tells nothing of it"
+        assert not see(reference, UPRIGHT, images=1).is_optical
+        place = see(reference, UPRIGHT)
+        assert place.is_optical and place.horizontal == (0.0, 2.0)
+        see(reference, UPRIGHT)
+    assert reference.problem and "map, odom or base_link" in reference.problem
+    assert [record.getMessage() for record in caplog.records] == [reference.problem], "once"
+    reference = ReferenceFrame("camera_optical_frame", Sensors("camera_optical_frame"))
+    assert see(reference, UPRIGHT, sensor="camera_optical_frame").is_optical and not reference.problem, "it says so"
+
+
+def test_a_level_reference_frame_is_none_of_a_camera():
+    reference = ReferenceFrame("map", MagicMock(lookup=lambda sensor, stamp: LEVEL))
+    assert not see(reference, UPRIGHT).is_optical and not reference.problem
+    lying = Pose(np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]]), np.array([0.0, 0.0, 2.0]))
+    assert LEVEL.compose(lying).rotation[1, 2] == -1.0
+    assert not see(reference, lying).is_optical and not reference.problem, "somebody who lies along -y"
+    # Another package tells faces in the map itself, z up.
+    reference = ReferenceFrame("map", Sensors("map"))
+    assert not see(reference, LEVEL.compose(UPRIGHT), sensor="map").is_optical and not reference.problem
+
+
+def test_without_a_way_to_the_reference_frame_that_of_a_camera_is_optical_whatever_its_name():
+    reference = ReferenceFrame("map", Sensors())
+    assert see(reference, UPRIGHT, images=1).horizontal == (0.0, 2.0)
+    assert not see(reference, UPRIGHT, PlaceSource.VOICE, "microphone").is_optical

@@ -20,6 +20,7 @@ import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import TransformStamped
+from std_msgs.msg import Float32
 from tf2_msgs.msg import TFMessage
 
 from hri_msgs.msg import IdsList
@@ -199,6 +200,46 @@ class CommandsTest(unittest.TestCase):
                 data = json.load(file)
         self.assertGreater(data["faces_per_second"], 0.0)
         self.assertEqual(data["bodies_per_second"], 0.0)
+
+    def test_who_is_out_of_view_stays_in_the_table_as_long_as_there_is_a_frame(self):
+        lists = {name: rospy.Publisher("/humans/persons/" + name, IdsList, queue_size=10, latch=True)
+                 for name in ("tracked", "known")}
+        seen = rospy.Publisher("/humans/persons/ann/location_confidence", Float32, queue_size=1, latch=True)
+        transforms = rospy.Publisher("/tf", TFMessage, queue_size=10)
+        for publisher in (*lists.values(), seen, transforms):
+            self.addCleanup(publisher.unregister)
+        lists["known"].publish(IdsList(ids=["ann", "bob", "eve"]))
+        lists["tracked"].publish(IdsList(ids=["ann", "bob"]))
+        seen.publish(1.0)
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, "table.json")
+            table = self.command("people", "watch", "--period", "0.1", "--json", path)
+
+            def move(*people):
+                message = TFMessage()
+                for person in (*people, "link"):
+                    item = TransformStamped(child_frame_id="person_" + person)
+                    item.header.frame_id, item.header.stamp = "map", rospy.Time.now()
+                    item.transform.rotation.w = 1.0
+                    message.transforms.append(item)
+                transforms.publish(message)
+
+            def says(words, *people):
+                since = len(table.text)
+                wait_for(lambda: move(*people) or words in table.text[since:], 30,
+                         lambda: "{!r}; said {}".format(words, table.text[-1000:]))
+            says("2 persons in view; ", "ann")
+            lists["tracked"].publish(IdsList(ids=["ann"]))
+            says("1 person in view, 1 out of view; ", "ann", "eve")
+            says("1 person in view; ", "ann")
+            says("1 person in view, 1 out of view; ", "ann", "eve")
+            table.process.send_signal(signal.SIGINT)
+            self.assertEqual(table.code(), 0)
+            with open(path) as file:
+                data = json.load(file)
+        self.assertEqual([(person["id"], person["in_view"]) for person in data["persons"]],
+                         [("ann", True), ("eve", False)])
+        self.assertEqual(data["persons_left"], ["bob"])
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import rospy
 import rostest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_msgs.msg import String
 from std_srvs.srv import Empty
 
@@ -63,7 +64,7 @@ class PersonStoreTest(unittest.TestCase):
                        StoredPerson("caty", name="Caty", native_language="fr", first_seen=now - 50 * DAY_S,
                                     last_seen=now - 2 * DAY_S, demographics=ESTIMATE),
                        StoredPerson("catytwin", alias="caty", last_seen=now - DAY_S),
-                       StoredPerson("dora", last_seen=now - DAY_S)):
+                       StoredPerson("dora", name="Dora", last_seen=now - DAY_S)):
             store.put_record(person)
         store.close()
         node = self.start("_store:={}".format(self.path), "_store_max_age:=30.0", "_store_max_persons:=3")
@@ -162,6 +163,29 @@ class PersonStoreTest(unittest.TestCase):
         self.assertEqual([record.name for record in store.load_records() if record.id == "known1"], ["Ann"])
         wait_for(lambda: {record.id for record in store.load_records()} == {"known1", "known2", "known3"}, WAIT_S,
                  "all are in the store")
+
+    def test_a_store_that_is_moved_away_is_told_and_takes_no_name(self):
+        store = PersonStore(self.path)
+        store.put_record(StoredPerson("caty", name="Caty", last_seen=time.time()))
+        store.close()
+        self.start("_store:={}".format(self.path))
+        name, away = rospy.ServiceProxy("/hri_person_manager/set_name", SetName), self.path.parent.with_name("away")
+        name.wait_for_service(WAIT_S)
+        said = {}
+        diagnostics = rospy.Subscriber("/diagnostics", DiagnosticArray, lambda message: said.update(
+            (status.message, status.level) for status in message.status))
+        self.addCleanup(diagnostics.unregister)
+        self.path.parent.rename(away)
+        answer = name("caty", "Kate")
+        self.assertFalse(answer.success)
+        self.assertIn("put it back", answer.message)
+        wait_for(lambda: any("put it back" in text and level == DiagnosticStatus.ERROR
+                             for text, level in list(said.items())), WAIT_S, "diagnostics tell it")
+        away.rename(self.path.parent)
+        self.assertTrue(name("caty", "Kate").success)
+        store = PersonStore(self.path)
+        self.assertEqual([record.name for record in store.load_records()], ["Kate"])
+        store.close()
 
     def test_a_name_by_which_recognisers_do_not_know_it_is_refused_with_the_mend(self):
         node = self.start("_store:={}".format(self.path.parent / "people.db3"))

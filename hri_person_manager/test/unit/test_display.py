@@ -79,7 +79,7 @@ def test_the_table_has_one_line_per_person():
     assert lines[1].split() == ["anonymous_person_abcde", "fabcd", "-", "-", "1.00", "1.00", "-2.50", "0.25", "map",
                                 "63"]
     assert lines[2].split() == ["ann", "-", "-", "-", "-", "-", "-", "-"]
-    assert lines[3] == "2 persons; faces found in 15.0 images/s, bodies in 7.0 images/s"
+    assert lines[3] == "2 persons in view; faces found in 15.0 images/s, bodies in 7.0 images/s"
     assert "nobody yet" in format_table([], 0.0, 0.0)
     assert "no images arrive: why" in format_table([], 0.0, 0.0, nobody="no images arrive: why")
 
@@ -88,9 +88,18 @@ def test_who_is_only_heard_stands_below_and_is_no_further_person():
     rows = [PersonRow("aaa", "", "", "vabcd", 1.0, None, "", None), ROW, replace(ROW, id="zzz", face="", body="babcd")]
     lines = format_table(rows, 15.0, 7.0).split("\n")
     assert [line.split()[0] for line in lines[1:4]] == [ROW.id, "zzz", "aaa"]
-    assert lines[4].startswith("2 persons, 1 voice; faces found")
+    assert lines[4].startswith("2 persons in view, 1 voice; faces found")
     lost = replace(ROW, face="", body="", voice="")
-    assert format_table([*rows[:1], lost], 0.0, 0.0).split("\n")[3].startswith("1 person, 1 voice; ")
+    assert format_table([*rows[:1], lost], 0.0, 0.0).split("\n")[3].startswith("1 person in view, 1 voice; ")
+
+
+def test_who_is_out_of_view_is_said_and_counted_apart():
+    rows = [PersonRow("heard", "", "", "vabcd", 1.0, None, "", None), replace(ROW, id="aside", confidence=0.5),
+            PersonRow("gone", "", "", "", None, (1.0, 2.0, 0.0), "map", 40.0), replace(ROW, id="seen")]
+    lines = format_table(rows, 15.0, 7.0).split("\n")
+    assert [line.split()[0] for line in lines[1:5]] == ["seen", "aside", "gone", "heard"]
+    assert lines[3].split()[1:5] == ["-", "-", "-", "-"]
+    assert lines[5].startswith("1 person in view, 2 out of view, 1 voice; faces found")
 
 
 def test_columns_are_as_wide_as_their_longest_cell():
@@ -111,7 +120,7 @@ def test_who_has_no_place_yet_has_no_confidence_of_one():
 
 def test_a_note_stands_below_the_table():
     assert format_table([], 0.0, 0.0, "no master").split("\n")[1:] == [
-        "nobody yet", "0 persons; faces found in 0.0 images/s, bodies in 0.0 images/s", "no master"]
+        "nobody yet", "0 persons in view; faces found in 0.0 images/s, bodies in 0.0 images/s", "no master"]
 
 
 def drawn(terminal, drawing, people):
@@ -152,9 +161,11 @@ def test_more_people_than_lines_do_not_pile_up():
 
 
 def test_data_can_be_written_as_json():
-    data = json.loads(json.dumps(as_data([ROW], 15.0, 7.0, ["ann", "abe"])))
-    assert data["persons"][0]["position"] == [1.0, -2.5, 0.25]
-    assert data["persons_seen"] == ["abe", "ann"] and data["faces_per_second"] == 15.0
+    gone = PersonRow("gone", "", "", "", None, (1.0, 2.0, 0.0), "map", 40.0)
+    data = json.loads(json.dumps(as_data([ROW, gone], 15.0, 7.0, {ROW.id, "gone", "left", "before"})))
+    assert data["persons"][0]["position"] == [1.0, -2.5, 0.25] and data["faces_per_second"] == 15.0
+    assert [(person["id"], person["in_view"]) for person in data["persons"]] == [(ROW.id, True), ("gone", False)]
+    assert data["persons_left"] == ["before", "left"]       # only who is not there any more
 
 
 def test_the_rate_counts_images_not_features():

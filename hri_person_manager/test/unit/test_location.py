@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hri_person_manager.core.location import LONGEST_STEP, CoastingMotion, Decay, PersonLocation, Place, PlaceSource
+from hri_person_manager.core.persons import PersonState
 from hri_pipeline.core.geometry import Pose
 
 
@@ -334,6 +335,16 @@ def test_nobody_knows_how_exact_a_place_is_for_long():
     optical = Place("camera_optical_frame", place.pose, 0.0, covariance=np.diag([1.0, 2.0, 3.0]))
     assert np.diag(optical.horizontal_covariance).tolist() == [1.0, 3.0]
     assert Place("map", place.pose, 0.0).horizontal_covariance is None
+
+
+def test_the_place_now_is_less_exact_than_at_its_stamp_before_its_source_is_silent():
+    seen = Place("map", Pose(np.eye(3), np.array([2.0, 0.0, 1.6])), 0.0, covariance=np.diag([0.04, 0.0016, 0.0016]))
+    state = PersonState("ann", "fabcd", "", "", False, 1.0, "", seen, 0.3)
+    assert state.place is seen and state.place_now.pose is seen.pose
+    assert 0.1 < np.sqrt(state.place_now.covariance[1, 1]) < 0.25, "somebody walks on by .15 m"
+    assert state._replace(place_age=0.0).place_now.covariance == pytest.approx(seen.covariance)
+    assert state._replace(place=None).place_now is None
+    assert state._replace(place=Place("map", seen.pose, 0.0)).place_now.covariance is None
 
 
 @pytest.mark.parametrize("frame, is_level", [("map", True), ("base_footprint", True), ("camera_optical_frame", False)])

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hri_person_manager.core.features import Kind, MatchNode
+from hri_person_manager.core.features import MAX_FEATURES, Kind, MatchNode
 from hri_person_manager.core.location import Place, PlaceSource
 from hri_person_manager.core.manager import MAX_UNSEEN_PERSONS, PersonManager
 from hri_person_manager.core.match_graph import CandidateMatch
@@ -245,6 +245,16 @@ def test_the_frame_of_somebody_seen_just_now_is_not_sent_again_when_the_feature_
     assert [ident for ident, _ in manager.silent(1.6)] == [A1]
 
 
+def test_one_frame_is_sent_of_persons_that_are_one_until_it_is_not_to_be_trusted_any_more():
+    manager = make(new_person_delay=0.0, half_life=2.0, faces=["f1", "f2"])
+    match(manager, "p:" + A1, "p:" + A2, 0.9, 0.1)
+    for face in ("f1", "f2"):
+        manager.on_place(PlaceSource.FACE, face, place(1.5, 1.0), 1.0)
+    for now, active, silent in ((1.1, [A1], []), (3.0, [], [A1]), (20.0, [], [])):
+        assert [ident for ident, _ in manager.active(now)] == active, now
+        assert [ident for ident, _ in manager.silent(now)] == silent, now
+
+
 def watch(manager, source, feature, begin, end, period=0.05, age=0.0, frame="map", tick=True):
     """Tell places x = time of a feature every `period` s, `age` s old; return those of them that moved a person."""
     moved = []
@@ -418,6 +428,54 @@ def test_the_older_id_stays_and_the_other_becomes_an_alias_and_returns():
     assert all(not state.alias for state in manager.snapshot(3.0).persons)
 
 
+def test_the_older_id_of_two_persons_that_are_one_stays_as_long_as_either_is_tracked_and_then_the_other_is_back():
+    manager = make(new_person_delay=0.0, faces=["f1", "f2"])
+    match(manager, "p:" + A1, "p:" + A2, 0.9, 0.1)
+    manager.on_tracked(Kind.FACE, ["f2"], 1.0)
+    manager.tick(600.0)
+    assert people(manager, 600.0) == {A1: ("f2", "", "", 0.0)}
+    manager.on_place(PlaceSource.FACE, "f2", place(1.0, 600.1), 600.1)
+    manager.on_tracked(Kind.BODY, ["b3"], 600.2)
+    assert people(manager, 600.2)[A1] == ("f2", "", "", 1.0)
+    match(manager, "p:" + A1, "p:" + A2, 0.0, 600.3)
+    assert people(manager, 600.3)[A2] == ("f2", "", "", 1.0)
+    manager.tick(700.0)
+    assert A1 not in people(manager, 700.0)
+
+
+def test_who_is_joined_with_somebody_seen_is_where_that_one_is_at_once():
+    manager = make(new_person_delay=0.0, faces=["f1", "f2"])
+    match(manager, "f:f1", "p:ann", 0.9, 0.0)
+    manager.on_place(PlaceSource.FACE, "f2", place(1.5, 1.0), 1.0)
+    match(manager, "p:ann", "p:" + A2, 0.9, 1.1)
+    assert people(manager, 1.1) == {"ann": ("f1", "", "", 1.0)}
+    assert manager.place("ann").pose.translation[0] == 1.5
+
+
+@pytest.mark.parametrize("ids", itertools.permutations(("alfa", "mike", "zulu")))
+def test_of_anonymous_persons_that_are_one_the_oldest_stands_for_all_whatever_their_ids(ids):
+    manager = PersonManager(PERSON_MANAGER_PARAMETERS.resolve({"new_person_delay": 0.0}), new_id=iter(ids).__next__)
+    for number in range(3):
+        manager.on_tracked(Kind.FACE, ["f%d" % face for face in range(number + 1)], float(number))
+    names = ["anonymous_person_" + name for name in ids]
+    match(manager, "p:" + names[2], "p:" + names[1], 0.9, 3.0)
+    assert manager.snapshot(3.0).tracked == tuple(sorted(names[:2]))
+    match(manager, "p:" + names[2], "p:" + names[0], 0.9, 3.0)
+    assert manager.snapshot(3.0).tracked == (names[0],)
+
+
+def test_whoever_a_named_person_was_is_an_alias_of_it_and_comes_back_when_parted():
+    manager = make(new_person_delay=0.0, bodies=["b1"])
+    manager.on_tracked(Kind.FACE, ["f1"], 1.0)
+    match(manager, "f:f1", "b:b1", 0.9, 2.0)
+    match(manager, "f:f1", "p:ann", 0.9, 3.0)
+    assert {state.id: state.alias for state in manager.snapshot(3.0).persons} == {"ann": "", A1: "ann", A2: "ann"}
+    match(manager, "f:f1", "p:ann", 0.0, 4.0)
+    match(manager, "f:f1", "b:b1", 0.0, 4.0)
+    assert {key: value[:2] for key, value in people(manager, 4.0).items() if key != "ann"} == {
+        A1: ("", "b1"), A2: ("f1", "")}
+
+
 def test_an_anonymous_person_turns_into_the_recognised_one_and_brings_its_place():
     manager = make(new_person_delay=0.0, faces=["f1"])
     manager.on_place(PlaceSource.FACE, "f1", place(1.5, 1.0), 1.0)
@@ -428,6 +486,15 @@ def test_an_anonymous_person_turns_into_the_recognised_one_and_brings_its_place(
     assert states[A1].alias == "ann" and not states[A1].tracked
     manager.on_tracked(Kind.FACE, [], 2.0)
     assert [state.id for state in manager.snapshot(2.0).persons] == ["ann"]
+
+
+def test_the_recognised_one_is_where_the_anonymous_one_was_though_what_told_that_place_has_left():
+    manager = make(new_person_delay=0.0, faces=["f1"], bodies=["b1"])
+    match(manager, "f:f1", "b:b1", 0.9, 0.1)
+    manager.on_place(PlaceSource.FACE, "f1", place(1.5, 1.0), 1.0)
+    manager.on_tracked(Kind.FACE, [], 1.1)
+    match(manager, "b:b1", "p:ann", 0.9, 1.2)
+    assert manager.place("ann").pose.translation[0] == 1.5
 
 
 def test_a_withdrawn_recognition_gives_the_face_back():
@@ -450,6 +517,43 @@ def test_a_match_may_come_before_the_tracked_list():
     assert not match(manager, "f:f1", "p:ann", 0.9, 0.0)
     manager.on_tracked(Kind.FACE, ["f1"], 0.1)
     assert people(manager, 0.1)["ann"][0] == "f1"
+
+
+@pytest.mark.parametrize("named_until, gone_at", [(0, 10), (8, 18)])
+def test_a_body_that_no_list_contains_is_there_for_ten_seconds_after_its_last_match(named_until, gone_at):
+    manager, there = make(new_person_delay=0.0, faces=["f1"]), []
+    for now in range(30):
+        if now <= named_until:
+            match(manager, "f:f1", "b:b1", 0.9, now + 0.01)
+        manager.on_tracked(Kind.FACE, ["f1"], now + 0.02)       # lists of others tell nothing of it
+        manager.tick(now + 0.03)
+        there.append([state.body for state in manager.snapshot(now + 0.03).persons if state.face == "f1"] == ["b1"])
+    assert there == [now < gone_at for now in range(30)]
+
+
+def test_a_body_that_a_match_named_before_its_list_came_is_there_as_long_as_the_list_says():
+    manager = make(new_person_delay=0.0, faces=["f1"])
+    match(manager, "f:f1", "b:b1", 0.9, 0.0)
+    manager.on_tracked(Kind.BODY, ["b1"], 1.0)
+    manager.tick(100.0)
+    assert people(manager, 100.0) == {A1: ("f1", "b1", "", 0.0)}
+    manager.on_tracked(Kind.BODY, [], 101.0)
+    assert people(manager, 101.0) == {A1: ("f1", "", "", 0.0)}
+
+
+def test_bodies_that_only_matches_name_are_as_many_as_a_list_may_hold():
+    manager = make()
+    for number in range(2 * MAX_FEATURES):
+        match(manager, "b:b%d" % number, "p:p%d" % number, 0.9, 1.0)
+    assert len(manager.snapshot(1.0).tracked) == MAX_FEATURES
+
+
+def test_ids_that_are_none_and_those_beyond_the_longest_list_are_counted_and_left_out():
+    manager = make(new_person_delay=0.0)
+    manager.on_tracked(Kind.FACE, ["f1", "no id", ""], 0.0)
+    assert manager.refused_ids == 2 and len(manager.snapshot(0.0).tracked) == 1
+    manager.on_tracked(Kind.FACE, ["f%d" % number for number in range(MAX_FEATURES + 5)], 0.0)
+    assert manager.refused_ids == 7 and len(manager.snapshot(0.0).tracked) == MAX_FEATURES
 
 
 def test_a_match_below_the_threshold_is_kept_and_may_rise():
@@ -590,6 +694,25 @@ def test_persons_joined_again_though_one_was_not_seen_for_long():
     assert [state.id for state in manager.snapshot(501.0).persons if state.tracked] == ["ann"]
 
 
+def test_of_more_permanent_persons_than_are_kept_unseen_those_go_who_were_lost_first():
+    names = ["n%02d" % number for number in range(MAX_UNSEEN_PERSONS + 2)]
+    manager = make(faces=["f" + name for name in names])
+    for name in names:
+        match(manager, "f:f" + name, "p:" + name, 0.9, 0.0)
+    manager.tick(500.0)
+    assert set(people(manager, 500.0)) == set(names), "who is seen stays, however many these are"
+    for now, gone in enumerate((names[7], names[3], names[5]), 501):
+        names.remove(gone)
+        manager.on_tracked(Kind.FACE, ["f" + name for name in names], float(now))
+    for name in names:
+        manager.on_place(PlaceSource.FACE, "f" + name, place(1.0, 503.5), 503.5)
+    manager.on_tracked(Kind.FACE, [], 504.0)
+    manager.tick(504.1)
+    assert len(people(manager, 504.1)) == len(names) + 3, "those who have a place yet are not counted"
+    manager.tick(1000.0)
+    assert set(people(manager, 1000.0)) == {"n05", *names}
+
+
 # -- forgetting
 
 def test_a_forgotten_person_is_a_stranger_again():
@@ -610,6 +733,20 @@ def test_forgetting_one_of_a_union_leaves_the_other():
     match(manager, "p:ann", "p:bob", 0.9, 0.0)
     assert manager.forget("ann", 1.0)
     assert people(manager, 1.0)["bob"][1] == "b1"
+
+
+def test_what_belonged_to_a_forgotten_person_is_nobodys_and_not_who_it_was_before_the_name():
+    manager = make(faces=["f1", "f2"])
+    manager.tick(0.5)
+    assert set(people(manager, 0.5)) == {A1, A2}
+    for face, name in (("f:f1", "p:ann"), ("f:f2", "p:bob")):
+        match(manager, face, name, 0.9, 0.6)
+    assert manager.forget("ann", 0.7)
+    assert people(manager, 0.7) == {"bob": ("f2", "", "", 0.0)}
+    match(manager, "f:f2", "p:bob", 0.0, 0.8)
+    assert people(manager, 0.8)[A2] == ("f2", "", "", 0.0), "who is not forgotten is who he was before the name"
+    manager.tick(1.2)
+    assert people(manager, 1.2)["anonymous_person_a0003"] == ("f1", "", "", 0.0)
 
 
 def test_an_alias_that_is_forgotten_is_none_any_more():
@@ -641,15 +778,27 @@ def test_anonymous_persons_have_the_same_ids_after_a_restart():
     assert second.snapshot(11.0).tracked[-1] == "anonymous_person_other"
 
 
+def test_an_id_from_before_a_restart_is_given_once_though_its_features_are_two_peoples_now():
+    manager = make(new_person_delay=0.0)
+    manager.expect({"anonymous_person_aback": [MatchNode(Kind.FACE, "f1"), MatchNode(Kind.BODY, "b1")]})
+    manager.on_tracked(Kind.FACE, ["f1"], 1.0)
+    assert set(people(manager, 1.0)) == {"anonymous_person_aback"}
+    manager.on_tracked(Kind.FACE, [], 2.0)
+    manager.tick(60.0)
+    manager.on_tracked(Kind.BODY, ["b1"], 61.0)
+    assert set(people(manager, 61.0)) == {A1}, "of whom that was nothing is left"
+
+
 def test_permanent_persons_are_themselves_at_once_after_a_restart():
     first = make(new_person_delay=0.0)
-    first.on_tracked(Kind.FACE, ["f1"], 0.0)
+    first.on_tracked(Kind.FACE, ["f1", "f9"], 0.0)
     first.on_tracked(Kind.BODY, ["b1", "b2"], 0.0)
     first.on_match(CandidateMatch(MatchNode(Kind.FACE, "f1"), MatchNode(Kind.PERSON, "ann"), 0.8), 0.0)
     first.on_match(CandidateMatch(MatchNode(Kind.FACE, "f1"), MatchNode(Kind.BODY, "b1"), 0.8), 0.0)
     first.on_match(CandidateMatch(MatchNode(Kind.BODY, "b2"), MatchNode(Kind.PERSON, "bob"), 0.8), 0.0)
     memory = first.identified()
     assert memory == {"ann": [MatchNode(Kind.FACE, "f1")], "bob": [MatchNode(Kind.BODY, "b2")]}
+    assert first.anonymous() == {A2: [MatchNode(Kind.FACE, "f9")]}
     second = make(new_person_delay=0.0)
     second.recall(memory, 10.0)
     second.on_tracked(Kind.FACE, ["f1", "f3"], 10.0)
@@ -689,6 +838,14 @@ def test_state_is_bounded_over_thousands_of_ids():
 
 
 # -- Matches with an anonymous person, as of a body that comes back in the same clothes.
+
+def test_an_anonymous_person_keeps_a_feature_that_is_said_not_to_be_its_own_as_long_as_it_is_nobody_elses():
+    manager = make(new_person_delay=0.0, bodies=["b1"])
+    match(manager, "b:b1", "p:" + A1, 0.0, 1.0)
+    manager.on_tracked(Kind.FACE, ["f1"], 2.0)
+    match(manager, "f:f1", "b:b1", 0.9, 2.1)
+    assert people(manager, 2.1) == {A1: ("f1", "b1", "", 0.0)}
+
 
 def test_a_lost_anonymous_person_goes_on_with_a_feature_that_a_match_gives_it():
     manager = make(bodies=["b1"])

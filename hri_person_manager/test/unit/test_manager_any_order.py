@@ -90,7 +90,9 @@ class AnyClient:
             lambda: self.manager.recall(self.manager.identified(), self.now)))()
 
     def check(self):
-        persons = {state.id: state for state in self.manager.snapshot(self.now).persons}
+        snapshot = self.manager.snapshot(self.now)
+        persons = {state.id: state for state in snapshot.persons}
+        assert {state.id for state in snapshot.persons if state.tracked} == set(snapshot.tracked)
         features = Counter()
         for state in persons.values():
             if state.alias:

@@ -59,8 +59,9 @@ def test_every_combination_of_identifiers(face, body, voice, named):
     assert people(manager, 3.0) == ({"ann" if named else A1: features} if present or named else {})
 
 
-def test_a_voice_alone_is_a_person_after_a_grace_in_which_the_mouths_are_compared():
-    manager = make(new_person_delay=0.5, voice_person_delay=2.0)
+@pytest.mark.parametrize("all_wait, voices_wait", [(0.5, 2.0), (2.0, 0.5)])
+def test_a_voice_alone_is_a_person_after_a_grace_in_which_the_mouths_are_compared(all_wait, voices_wait):
+    manager = make(new_person_delay=all_wait, voice_person_delay=voices_wait)
     see(manager, 0.0, voices=["v1"])
     manager.tick(1.9)
     assert people(manager, 1.9) == {}

@@ -120,19 +120,20 @@ def test_what_nothing_contradicts_for_a_second_is_let_through_sooner(says, let_t
         if limit.due(now, lambda keys, now=now: says(now)):
             break
     assert now == pytest.approx(let_through, abs=0.11)
+    assert limit.due(now, lambda keys: says(now)) == [], "it is told once"
+    limit.due(now + 60.0)
+    assert not any(vars(limit).values()), "nothing is kept of what was long ago"
 
 
 def test_what_nothing_contradicts_is_not_let_through_for_ever():
-    """Said for 1.1 s each: a few changes more than the limit lets through in a minute, not all 55."""
-    limit, keys, count = ChangeLimit(), ("f1", ), 0
-    for step in range(600):
-        now, word = 0.1 * step, step // 11
-        if limit.holds(keys, now):
+    """Said for 1.125 s each: a few changes more than the limit lets through in a minute, not all 54."""
+    limit, keys, shown, count = ChangeLimit(), ("f1", ), -1, 0
+    for step in range(480):
+        now, word = 0.125 * step, step // 9     # of which binary numbers are exact
+        if word != shown and limit.holds(keys, now):
             limit.hear(keys, word, now)
-            for key in limit.due(now, lambda keys, word=word: word):
+        for key in limit.due(now, lambda keys, word=word: word) or (() if limit.holds(keys, now) else keys):
+            if word != shown:
                 limit.note((key, ), now)
-                count += 1
-        elif step % 11 == 0:
-            limit.note(keys, now)
-            count += 1
+                count, shown = count + 1, word
     assert 30 <= count <= 8 + 4 + 30 + 1

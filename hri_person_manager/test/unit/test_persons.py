@@ -13,3 +13,21 @@ def test_known_ids_keep_the_order_of_first_sight_and_drop_the_least_recently_nam
     known.remove("ann")
     known.remove("ann")
     assert "ann" not in known
+
+
+def test_a_recogniser_that_begins_anew_takes_along_whom_it_alone_has_named_since_they_became_known():
+    known = KnownIds()
+    for name, senders in (("ann", ["eyes"]), ("bob", ["eyes", "ears"]), ("cho", ["ears"]), ("dan", ["eyes"])):
+        known.add(name)
+        for sender in senders:
+            known.note_name(name, sender)
+    known.note_name("eve", "eyes")      # nobody knows her
+    known.remove("dan")
+    known.add("dan")                    # forgotten, and known again by something else
+    known.renew("eyes", ())
+    assert known.outdated == {"ann"}
+    known.renew("ears", ("cho",))
+    assert known.outdated == {"ann", "bob"}
+    known.remove("ann")
+    known.add("bob")
+    assert known.outdated == set(), "who is forgotten, or named again"

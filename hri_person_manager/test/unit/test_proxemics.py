@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -49,4 +51,5 @@ def test_distances_are_horizontal(frame, position, origin, distance):
 
 
 def test_a_camera_whose_name_does_not_say_so_looks_along_z():
-    assert horizontal_distance(at("camera", 0.3, -0.9, 0.4), np.zeros(3), optical=True) == pytest.approx(0.5)
+    place = replace(at("camera", 0.3, -0.9, 0.4), of_camera=True)
+    assert horizontal_distance(place, np.zeros(3)) == pytest.approx(0.5)

@@ -22,7 +22,7 @@ from hri_person_manager.core.register import (
     RegisterError,
     SqliteRecordStore,
 )
-from hri_pipeline.core.privacy import StoreError
+from hri_pipeline.core.privacy import StoreError, TemplateCipher, make_key_file
 from hri_pipeline.core.recognition.database import PersonDatabase, StoreWriter
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore
 
@@ -421,6 +421,34 @@ def test_the_unseen_and_the_surplus_expire(tmp_path):
     assert sorted(register.take_gone()) == ["old", "one"]
     assert [record.id for record in register.records] == ["three", "two"]
     assert [record.id for record in store.load_records()] == ["three", "two"]
+    store.close()
+
+
+@pytest.mark.parametrize("encrypted", [False, True])
+def test_of_too_many_those_go_first_of_whom_nobody_has_said_anything(tmp_path, encrypted):
+    """A lobby: a thousand strangers in a week do not take the names of those who are on holiday."""
+    key = tmp_path / "key"
+    make_key_file(key)
+    people = PersonStore(tmp_path / "people" / "store.sqlite", TemplateCipher(key) if encrypted else None)
+    store = SqliteRecordStore(people, max_persons=5)
+    register = PersonRegister(store)
+    register.seen(["named", "agreed", "spoke", "other_id"], 1.0)
+    register.set_name("named", "Ann")
+    register.set_enrolled("agreed", True, 1.0)
+    register.set_native_language("spoke", "fr")
+    register.set_alias("other_id", "named")
+    for number in range(20):
+        register.seen(["stranger{}".format(number)], 10.0 + number)
+    register.flush()
+    register.expire(100.0)
+    assert sorted(register.take_gone()) == sorted("stranger{}".format(number) for number in range(19))
+    for number in range(3):
+        register.seen(["last{}".format(number)], 50.0)
+        register.set_name("last{}".format(number), "Bob")
+    register.flush()
+    register.expire(100.0)
+    assert len(register.take_gone()) == 3 and len(store.load_records()) == 5, "the limit is one for all"
+    assert {"last0", "last1", "last2"} <= {record.id for record in store.load_records()}
     store.close()
 
 

@@ -160,9 +160,10 @@ def test_the_page_is_told_what_is_seen_of_a_person(face: bool, body: bool) -> No
 
 def test_in_the_frame_of_a_camera_forward_is_its_z() -> None:
     ahead = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]).T, np.array([0.5, 0.0, 3.0]))
-    assert from_above("camera_color_optical_frame") @ ahead.translation == pytest.approx([3.0, -0.5])
-    state = page_state([PersonOnPage("ada", frame="camera_color_optical_frame", pose=ahead)], [], None, "")
-    assert (state["people"][0]["place"]["x"], state["people"][0]["place"]["y"]) == (3.0, -0.5)
+    assert from_above(True) @ ahead.translation == pytest.approx([3.0, -0.5])
+    for frame, of_pictures in (("camera_color_optical_frame", ""), ("head_camera", "head_camera")):
+        state = page_state([PersonOnPage("ada", frame=frame, pose=ahead)], [], None, "", of_pictures)
+        assert (state["people"][0]["place"]["x"], state["people"][0]["place"]["y"]) == (3.0, -0.5)
 
 
 def test_a_map_has_one_frame() -> None:

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from hri_pipeline.client import humans
+from hri_pipeline.core.frames import RawTransform
 from hri_pipeline.ros.rospy_compat import WallTimeThrottle
 
 
@@ -62,9 +63,31 @@ def persons(monkeypatch):
     tracked.close()
 
 
-def test_whose_pose_is_asked_for_while_they_leave_are_not_followed_for_ever():
-    client = humans.Humans(patience=0.0)
-    client.frames._subscriber = SimpleNamespace(close=lambda: None)     # without a master
+@pytest.fixture
+def client():
+    """A client without a master."""
+    with humans.Humans(patience=0.0) as made:
+        made.frames._subscriber = SimpleNamespace(close=lambda: None)
+        yield made
+
+
+def test_eyes_that_are_closed_have_no_gaze(client):
+    face = humans.Face("f1", client)
+    assert face.gaze() is None
+    for what, tenths, parents, is_known in (
+            ("open", 50, {"gaze_f1": "face_f1", "face_f1": "camera"}, True),
+            ("not measured in one image", 51, {"face_f1": "camera"}, True),
+            ("closed", 60, {"face_f1": "camera"}, False),
+            ("open again", 61, {"gaze_f1": "face_f1", "face_f1": "camera"}, True),
+            ("closed, and time has jumped back", 10, {"face_f1": "camera"}, False)):
+        for child, parent in parents.items():
+            client.frames._tf.put(RawTransform(parent, child, tenths // 10, tenths % 10 * 10 ** 8, (0.0, 0.0, 1.0),
+                                               (0.0, 0.0, 0.0, 1.0)), False)
+        assert (face.gaze() is not None) is is_known, what
+        assert face.pose() is not None
+
+
+def test_whose_pose_is_asked_for_while_they_leave_are_not_followed_for_ever(client):
     ask = client.frames.pose
     for number in range(20):
         person = humans.Person("person%d" % number, client)
@@ -75,19 +98,15 @@ def test_whose_pose_is_asked_for_while_they_leave_are_not_followed_for_ever():
         client.frames.pose = pose
         person.pose()
     assert client.frames._tf.followed == {"person": []}
-    client.close()
 
 
-def test_whose_pose_is_asked_for_after_they_left_does_not_disturb_the_same_person_who_is_back():
-    client = humans.Humans(patience=0.0)
-    client.frames._subscriber = SimpleNamespace(close=lambda: None)     # without a master
+def test_whose_pose_is_asked_for_after_they_left_does_not_disturb_the_same_person_who_is_back(client):
     before = humans.Person("anna", client)
     before.close()
     back = humans.Person("anna", client)
     back.pose()
     assert before.pose() is None
     assert client.frames._tf.followed == {"person": ["anna"]}
-    client.close()
 
 
 def test_nobody_leaves_before_they_have_come(persons):

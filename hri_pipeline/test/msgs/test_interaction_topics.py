@@ -3,6 +3,7 @@
 import io
 import threading
 import time
+from collections import Counter
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
@@ -112,3 +113,19 @@ def test_several_faces_of_a_camera_whose_clock_is_ahead_do_not_hide_those_of_the
                    for face in faces]).serialize(data)
         people._on_frames(data.getvalue(), scan(data.getvalue()), False)
     assert people.stamp == genpy.Time.from_sec(100.1)
+
+
+@pytest.mark.parametrize("reference", ["map", "camera_optical_frame"])
+def test_people_are_compared_on_the_floor_though_the_reference_frame_is_a_cameras(reference):
+    """Heights are along y there: two who stand behind each other would be one above the other."""
+    settings = INTERACTION_PARAMETERS.resolve({"reference_frame": reference, "robot_frame": "base"})
+    from_reference = Pose.identity() if reference != "map" else people_input.LEVEL
+    tf = MagicMock(lookup=lambda frame, stamp: from_reference if "optical" in frame else
+                   from_reference.compose(people_input.LEVEL.inverse()))
+    frame = people_input.InteractionFrame(settings, tf)
+    frame.begin(module.genpy.Time(10))
+    poses = frame.places(Counter(["camera_optical_frame", "camera_optical_frame"]))
+    assert frame.name == reference and frame.is_level is (reference != "map")
+    ahead = poses["camera_optical_frame"].apply(np.array([0.0, -0.4, 3.0]))
+    assert ahead == pytest.approx([3.0, 0.0, 0.4]), "z is up"
+    assert frame.robot_source == "base" and frame.robot.heading == pytest.approx([1.0, 0.0, 0.0])

@@ -17,7 +17,8 @@ from std_msgs.msg import String
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.ros import rospy_compat
 from hri_pipeline.ros.publishers import IdPublishers, TopicSpec, TrackedList
-from hri_pipeline.ros.rospy_compat import reconnect_to_returning_publishers, send_at_once
+from hri_pipeline.ros.rospy_compat import reconnect_to_returning_publishers
+from hri_pipeline.ros.tcpros import send_at_once
 from hri_pipeline.testing import held_by, pid_of, wait_for, without_descriptors
 
 IDS, WARMING = 800, 200

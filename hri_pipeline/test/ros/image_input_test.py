@@ -483,6 +483,19 @@ class ImageInputTest(InputCase):
         self.assertIsNotNone(image_input.next(5))
         self.assertEqual(image_input.status()[0], OK)
 
+    def test_images_that_show_nothing_are_told(self):
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        with mock.patch.object(module, "_BLANK_PERIOD_S", 0.0):
+            for value in (0, None, 255, None, 128):
+                for number in range(3):
+                    bgr = BGR if value is None else np.full_like(BGR, value)
+                    self.send(image_input, bgr_to_image(bgr, make_header(rospy.get_time(), "camera_optical")))
+                    self.assertIsNotNone(image_input.next(5))
+                    level, text, _ = image_input.status()
+                    told = value is not None and number > 0     # a flash is nobody's fault
+                    self.assertEqual((level, "shows nothing" in text), (WARN, True) if told else (OK, False), text)
+
     def test_images_without_stamp_get_the_time_of_arrival(self):
         image_input = self.image_input()
         self.calibrate(image_input, info())

@@ -8,6 +8,7 @@ import unittest
 
 import rospy
 import rostest
+from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float32, String
 from tf2_msgs.msg import TFMessage
@@ -57,6 +58,15 @@ class TestSceneSimulator(unittest.TestCase):
         frame = wait_for(lambda: self.frames.get("person_ann"), 10.0, "the frame of ann")
         self.assertEqual(frame.header.frame_id, "map")
         self.assertTrue(1.0 < frame.transform.translation.x < 7.0)
+
+    def test_it_tells_how_many_are_in_the_scene_and_how_many_in_view(self):
+        def scene():
+            message = rospy.wait_for_message("/diagnostics", DiagnosticArray, 10.0)
+            return next((status for status in message.status if status.name.endswith("scene_simulator: scene")), None)
+        told = wait_for(scene, 20.0, "the scene's diagnostics")
+        values = {pair.key: int(pair.value) for pair in told.values if pair.key in ("people", "in_view")}
+        self.assertTrue(0 <= values["in_view"] <= values["people"] == len(PEOPLE), told)
+        self.assertIn("{} in view".format(values["in_view"]), told.message)
 
     def test_the_camera_hangs_on_the_map(self):
         wait_for(lambda: {"base_link", "camera_color_optical_frame", "microphone"} <= set(self.fixed), 10.0,

@@ -193,6 +193,24 @@ def test_a_face_at_the_border_that_looks_into_the_camera_is_not_turned():
                                       place))[0] == pytest.approx(np.degrees(np.arctan2(0.8, 1.0)), abs=1)
 
 
+def confidences_while_nodding(degrees):
+    """Of nods told, with this way from peak to peak."""
+    estimator, found = ActionUnitEstimator(MEASURES_OF_FACE), []
+    for step in range(40):
+        pitch = 0.5 * degrees * np.sin(2.0 * np.pi * 2.0 * 0.1 * step + 0.3)
+        units = estimator.update(seen(FACE), looking(0, pitch, 0, (0, 0, 1.0)), 0.1 * step)
+        if units.intensity[85] > 0.0:
+            found.append(float(units.confidence[85]))
+    return found
+
+
+def test_a_small_nod_may_be_speech_and_a_large_one_is_none():
+    small, large = confidences_while_nodding(7.5), confidences_while_nodding(16.0)
+    assert small and max(small) < 0.9 and large and min(large) > 0.95
+    still = ActionUnitEstimator(MEASURES_OF_FACE).update(seen(FACE), looking(0, 0, 0, (0, 0, 1.0)), 0.0)
+    assert still.intensity[85] == 0.0 and still.confidence[85] > 0.95
+
+
 def test_forward_and_back():
     estimator = ActionUnitEstimator(MEASURES_OF_FACE)
     for step in range(100):

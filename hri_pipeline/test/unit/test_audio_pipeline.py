@@ -177,6 +177,14 @@ def test_time_that_goes_back_starts_afresh():
     assert found[1].onset and found[1].stamp < START
 
 
+def test_time_that_goes_back_is_told_to_the_array():
+    array = Script(lambda call, samples: [])
+    pipeline = make(array)
+    for start in (START, START - 500.0):
+        feed(pipeline, np.zeros((FRAME, 4), np.float32), start)
+    assert array.resets == 1
+
+
 def test_sound_that_was_held_up_is_the_same_voice():
     """Idle time is noted, and then the sound comes after all, with its old stamps."""
     pipeline = make(hangover_time=0.4)
@@ -259,6 +267,17 @@ def test_a_source_comes_with_sound_from_before():
     assert all(seen.speaking for seen in found)
 
 
+@pytest.mark.parametrize("hangover, turns", [(0.2, 1), (0.05, 2)])
+def test_a_source_that_is_missing_for_a_moment_goes_on_at_its_time_after_a_pause(hangover, turns):
+    """Its sound comes in pieces of half a frame, of which those of 80 ms are missing, from within a frame on."""
+    half = np.full(FRAME // 2, 0.3, np.float32)
+    array = Script(lambda call, samples: [] if 21 <= call < 26 else [(1, half, 0, 0.0)])
+    found = feed(make(array, hangover_time=hangover), np.zeros((FRAME * 20, 2), np.float32), length=FRAME // 2)
+    stamps = [START + call * FRAME / RATE for call in [*range(10), *range(13, 20)]]
+    assert [seen.stamp for seen in found if seen.samples.size] == pytest.approx(stamps)
+    assert (len({seen.id for seen in found}), sum(seen.onset for seen in found)) == (1, turns)
+
+
 def test_what_comes_from_elsewhere_is_not_this_voice():
     """The filter of source 1 lets source 2 through after the 20th call; nothing comes from its direction any more."""
     loud = np.full(FRAME, 0.3, np.float32)
@@ -313,6 +332,13 @@ def test_a_speaker_whom_the_separator_loses_and_finds_is_one_voice():
     assert len(pipeline.tracked) == 1
     turns = [(seen.onset, seen.end) for seen in found if seen.onset or seen.end]
     assert turns == [(True, False), (False, True), (True, False)]
+
+
+def test_two_who_speak_at_once_close_to_each_other_end_no_turns():
+    loud = np.full(FRAME, 0.3, np.float32)
+    array = Script(lambda call, samples: [(1, loud, 0, 0.0)] + [(2, loud, 0, 15.0)] * (call >= 10))
+    found = feed(make(array), np.zeros((FRAME * 30, 2), np.float32))
+    assert len({seen.id for seen in found}) == 2 and not any(seen.end for seen in found)
 
 
 def test_a_gap_ends_the_turns_of_an_array_and_the_voices_go_on():

@@ -78,6 +78,17 @@ def test_the_parts_of_all_sources_are_no_more_than_the_sound():
     assert filters.separate(spectrum, noise_power) == {}
 
 
+def test_who_has_walked_on_is_listened_to_where_they_are_now():
+    sound = noise(1, 4 * BINS, 0.1).reshape(4, BINS) * (1.0 + 1.0j)
+    moved, there = (SourceBeamformers(MicrophoneArray(SQUARE)) for _ in range(2))
+    moved.steer({1: towards(0.0)})
+    for filters in (moved, there):
+        filters.steer({1: towards(20.0)})
+    parts = [filters.separate(sound.astype(np.complex64), np.full(BINS, 1e-3, np.float32))[1]
+             for filters in (moved, there)]
+    np.testing.assert_array_equal(*parts)
+
+
 def test_one_voice_comes_out_sample_for_sample_where_it_was():
     voice, sound = one_voice()
     _, found = separate(sound)

@@ -58,10 +58,14 @@ def pause(seconds):
     return np.zeros(int(seconds * RATE), np.float32)
 
 
-def turns_of(*pieces, **changes):
-    """{id: its observations in turns} of the pieces, with 0.5 s before and 1 s behind."""
+def pipeline_of(**changes):
     settings = TABLE.resolve(dict({"hangover_time": 0.6, "speaking_hangover": 0.0}, **changes))
-    pipeline = VoicePipeline(settings, LoudIsSpeech(), ids=IdGenerator(seed=3), speakers=PitchIsSpeaker())
+    return VoicePipeline(settings, LoudIsSpeech(), ids=IdGenerator(seed=3), speakers=PitchIsSpeaker())
+
+
+def turns_of(*pieces, pipeline=None, **changes):
+    """{id: its observations in turns} of the pieces, with 0.5 s before and 1 s behind."""
+    pipeline = pipeline or pipeline_of(**changes)
     samples = np.concatenate([pause(0.5), *pieces, pause(1.0)])
     found = {}
     for first in range(0, len(samples) - FRAME + 1, FRAME):
@@ -92,6 +96,13 @@ def test_speakers_who_answer_each_other_are_three_turns():
     assert len(found) == 3
 
 
+def test_voices_of_speakers_who_went_on_for_each_other_are_tracked_for_their_time_only():
+    pipeline = pipeline_of(voice_timeout=3.0)
+    assert len(turns_of(tone(LOW, 2.5), tone(HIGH, 2.5), pipeline=pipeline)) == 2
+    pipeline.idle(START + 12.0)
+    assert pipeline.tracked == ()
+
+
 @pytest.mark.parametrize("pieces", [(tone(LOW, 8.0),), (tone(LOW, 2.0), pause(0.4), tone(LOW, 3.0))],
                          ids=["long", "with a pause"])
 def test_one_speaker_is_one_turn(pieces):
@@ -112,9 +123,14 @@ def test_the_bands_tell_frequency_and_power():
     squared amplitude times the window's energy, spread over triangles of the area 1."""
     power = mel_power(tone(500.0, 0.5))
     assert power.shape == ((8000 - WINDOW) // HOP + 1, BANDS) and power.dtype == np.float32
-    assert set(np.argsort(power.mean(axis=0))[-2:]) <= {4, 5, 6}
     np.testing.assert_allclose(mel_power(2.0 * tone(500.0, 0.5)), 4.0 * power, rtol=1e-4)
     assert LEVEL_DBFS == -30.0
+
+
+@pytest.mark.parametrize("hertz, bands", [(500.0, {5, 6}), (1000.0, {12, 13}), (4000.0, {30, 31}), (6500.0, {37, 38})])
+def test_the_bands_are_even_up_to_1_khz_and_in_proportion_above(hertz, bands):
+    """45.2 mel up to 8 kHz, as 15 up to 1 kHz and 27 for each factor of 6.4 above, in 41 steps."""
+    assert set(np.argsort(mel_power(tone(hertz, 0.5)).mean(axis=0))[-2:]) == bands
 
 
 ENOUGH = WINDOW_S + (LEAST_WINDOWS - 1) * HOP_S
@@ -174,6 +190,13 @@ def test_what_was_told_is_withdrawn_when_the_voice_becomes_another():
     identity = known(("anna", 0.0))
     say(identity, "first", 0.0)
     assert say(identity, "first", 1.5, 20.0) == [VoicePerson("first", "anna", 0.0)]
+
+
+def test_who_was_told_stays_while_somebody_alike_is_not_nearer():
+    identity = known(("anna", 0.0), ("berta", 0.4))
+    assert say(identity, "first", -0.1) == [VoicePerson("first", "anna", LIKELIHOOD)]
+    assert say(identity, "first", 0.18, 20.0) == []
+    assert say(identity, "first", 0.25, 20.0) == [VoicePerson("first", "anna", 0.0)]
 
 
 def test_a_voice_that_is_not_heard_or_has_said_little_is_not_enrolled():

@@ -76,9 +76,9 @@ def test_any_bytes_are_sound_or_are_refused(data, name, channels):
         assert sound.shape == (len(data) // form.frame_bytes, channels) and np.abs(sound).max(initial=0.0) <= 16.0
 
 
-def test_names_of_alsa_and_an_empty_name():
-    assert SoundFormat(sample_format="s24_3le").sample_format == "S24LE"
-    assert SoundFormat(sample_format="", coding_format="WAVE").sample_format == "S16LE"
+def test_other_names_of_a_format_are_the_same_format():
+    assert SoundFormat(sample_format="s24_3le") == SoundFormat(sample_format="S24LE")
+    assert SoundFormat(sample_format="", coding_format="WAV") == SoundFormat(coding_format="raw") == SoundFormat()
 
 
 def test_bytes_that_are_no_whole_samples_are_refused():
@@ -99,6 +99,24 @@ def mp3_frame(size=417):
 def test_bytes_of_files_are_recognised(data, name):
     with pytest.raises(SoundError, match="the bytes are .*{}.*_format:=wave".format(name)):
         decode(data, SoundFormat())
+
+
+@pytest.mark.parametrize("head, size", [
+    (b"\xff\xfb\x90\x64", 417), (b"\xff\xfb\x92\x64", 418),      # 128 kbit/s of 44.1 kHz, without and with padding
+    (b"\xff\xfb\xe8\x64", 1440),                                  # 320 of 32 kHz
+    (b"\xff\xf3\x80\x64", 208), (b"\xff\xe3\x14\x64", 48),       # MPEG 2: 64 of 22.05 kHz; MPEG 2.5: 8 of 12 kHz
+])
+def test_one_frame_of_mp3_is_as_long_as_its_header_says(head, size):
+    form = SoundFormat(sample_format="U8")
+    with pytest.raises(SoundError, match="the bytes are mp3"):
+        decode(head + bytes(size - 4), form)
+    assert len(decode(head + bytes(size - 3), form)) == size + 1
+
+
+@pytest.mark.parametrize("head", [b"\xff\xeb\x90\x64", b"\xff\xfb\x9c\x64", b"\xff\xfb\x00\x64", b"\xff\xfb\xf0\x64"],
+                         ids=["version", "rate", "no bitrate", "bitrate"])
+def test_sound_that_begins_as_a_frame_of_what_there_is_not_is_read(head):
+    assert decode(head + bytes(636), SoundFormat()).shape == (320, 1)
 
 
 def test_sound_is_not_taken_for_mp3():
@@ -315,11 +333,18 @@ def test_levels():
     assert values["clipped_percent"] == 0.0 and stream.problem() == ""
 
 
+def test_a_stream_that_has_just_begun_tells_no_level_and_no_rate():
+    stream = SoundStream(SoundFormat())
+    assert stream.problem() == "" and {"level_dbfs", "measured_rate_hz"}.isdisjoint(stream.values())
+
+
 @pytest.mark.parametrize("sound, words", [
-    (np.zeros((3 * RATE, 1)), "dead silence"), (tone(3.0, amplitude=3.0), "clipped: .* gain"),
+    (np.zeros((3 * RATE, 1)), "dead silence"), (np.full((3 * RATE, 2), 0.3), "dead silence"),
+    (tone(3.0, channels=2, amplitude=3.0), "clipped: .* at the limit; turn the microphone's gain down"),
     (0.4 * np.clip(tone(3.0, amplitude=3.0), -1.0, 1.0), "channel 0 of 1 is clipped at 40 %.* gain"),
     (tone(3.0, frequency=1000.0), "^$"), (tone(3.0, frequency=50.0), "^$"),
     (tone(3.0) * [1.0, 0.0], "channel 1 of 2 is dead"), (tone(3.0) + 0.2, "offset of 20 %"),
+    (tone(3.0) - 0.5, "offset of 50 %"),
     (tone(1.0) * 0.0, ""),
 ])
 def test_bad_sound_is_named(sound, words):

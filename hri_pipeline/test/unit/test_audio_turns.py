@@ -177,6 +177,16 @@ def test_far_below_what_was_just_said_is_a_pause():
     assert run(detector, [0.9], energy=-45.0)[0].speaking, "a softer speaker begins anew"
 
 
+def test_the_loudest_of_the_last_words_counts_and_fades_by_6_db_a_second():
+    detector = started(level_drop=20.0)
+    run(detector, [0.9], energy=-39.0)
+    run(detector, [0.9], energy=-15.0)
+    assert not run(detector, [0.5], energy=-45.0)[0].speaking
+    run(detector, [0.9], energy=-15.0)
+    run(detector, [0.9] * int(2.0 / FRAME), energy=-30.0)
+    assert run(detector, [0.5], energy=-45.0)[0].speaking
+
+
 def test_noise_floor_follows_noise_and_not_speech():
     floor = NoiseLevel()
     assert floor.update(-50.0, 0.0, FRAME) == -50.0

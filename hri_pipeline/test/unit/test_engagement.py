@@ -19,14 +19,14 @@ class Visitor:
         self.estimator = EngagementEstimator(INTERACTION_PARAMETERS.resolve(changes))
         self.now, self.levels = 0.0, []
 
-    def stay(self, seconds, distance=1.5, looks=True, bearing=0.0, seen=True, rate=10.0):
+    def stay(self, seconds, distance=1.5, looks=True, bearing=0.0, seen=True, rate=10.0, robot=ROBOT_AT):
         """Return the level after so many seconds."""
         head = np.array([distance * np.cos(bearing), distance * np.sin(bearing), 1.6])
         person = Observer("ann", head, head_direction=-AHEAD) if seen else Observer("ann")
         for _ in range(max(1, int(seconds * rate))):
             self.now += 1.0 / rate
             gazes = [GazeTarget("ann", ROBOT, 0.9)] if looks else []
-            self.levels.append(self.estimator.update([person], gazes, ROBOT_AT, self.now, AHEAD)["ann"])
+            self.levels.append(self.estimator.update([person], gazes, robot, self.now, AHEAD)["ann"])
         return self.levels[-1]
 
     def course(self):
@@ -67,6 +67,37 @@ def test_the_distance_has_hysteresis():
     assert ann.stay(8.0, distance=1.9) == Level.ENGAGED
     assert ann.stay(8.0, distance=2.2) == Level.ENGAGED
     assert ann.stay(15.0, distance=2.5) == Level.DISENGAGED
+
+
+def test_the_margin_of_the_distance_goes_with_who_was_lost():
+    ann = Visitor(engagement_distance=2.0, engagement_distance_margin=0.4)
+    assert ann.stay(8.0, distance=1.9) == Level.ENGAGED
+    assert ann.stay(8.0, seen=False) == Level.UNKNOWN
+    assert ann.stay(8.0, distance=2.2) == Level.DISENGAGED
+
+
+def test_nobody_is_engaged_with_a_robot_whose_place_is_not_known():
+    ann = Visitor()
+    assert ann.stay(8.0) == Level.ENGAGED
+    assert ann.stay(8.0, robot=None) == Level.UNKNOWN
+
+
+def test_who_comes_is_not_engaged_at_once_however_few_images_there_are():
+    ann = Visitor()
+    assert [ann.stay(10.0, seen=False, rate=0.1)] + [ann.stay(10.0, rate=0.1) for _ in range(3)] == [
+        Level.UNKNOWN, Level.DISENGAGED, Level.ENGAGING, Level.ENGAGED]
+
+
+def test_images_that_come_late_count_no_time_twice():
+    needed = []
+    for late in (0.0, 0.3):
+        ann = Visitor()
+        while ann.stay(0.1) != Level.ENGAGED:
+            ann.now -= late
+            ann.stay(0.0, rate=1e9)
+            ann.now += late
+        needed.append(ann.now)
+    assert needed[1] == pytest.approx(needed[0], abs=1e-3)
 
 
 def test_a_gaze_at_a_robot_that_looks_elsewhere_is_not_mutual():

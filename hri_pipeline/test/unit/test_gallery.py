@@ -10,6 +10,7 @@ from benchmarks.recognition import SIZE
 from benchmarks.recognition import template as face
 from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery
 from hri_pipeline.core.recognition.likelihood import CROWD_SHARE, MOST_STRETCHED, TemplateCalibration
+from hri_pipeline.core.recognition.store import KnownPerson
 
 CALIBRATION = TemplateCalibration(midpoint=0.36, fair_midpoint=0.40, scale=0.018, near=0.15)
 
@@ -275,8 +276,36 @@ def test_what_cannot_be_done_is_said_and_changes_nothing(gallery, act, text):
 def test_a_full_gallery_says_so():
     small = MemoryGallery("synthetic", SIZE, CALIBRATION, max_persons=2)
     fill(small, 2)
+    for person_id in small.ids():
+        small.enrol(person_id)
+    assert "full" in small.refusal
     with pytest.raises(GalleryError, match="full"):
         small.add_person("anna", face(9)[None])
+    assert small.ids() == ["p0000", "p0001"]
+
+
+def test_of_a_full_gallery_who_was_not_seen_for_longest_gives_way():
+    small = MemoryGallery("synthetic", SIZE, CALIBRATION, max_persons=3)
+    fill(small, 3)
+    small.keep_apart("p0001", "p0002")
+    small.note_seen(["p0002"])
+    small.note_seen(["p0000", "nobody"])
+    small.note_seen(["p0002"])
+    small.note_seen([])
+    assert small.refusal == ""
+    for name in ("anna", "bert"):
+        small.add_person(name, face(9)[None])
+    assert small.ids() == ["p0002", "anna", "bert"] and not small.are_apart("p0001", "p0002")
+    small.note_seen(["anna", "bert"])
+    small.borrow([KnownPerson("carl", face(8)[None], False)], "elsewhere")
+    assert small.ids() == ["anna", "bert", "carl"]
+    with pytest.raises(GalleryError, match="full"):
+        small.add_person("dora", face(7)[None])
+    small.clear()
+    fill(small, 3)
+    small.note_seen([])
+    small.add_person("anna", face(9)[None])
+    assert small.ids() == ["p0001", "p0002", "anna"]
 
 
 def best_of(action, repeats):

@@ -18,6 +18,7 @@ from hri_pipeline.core.interactions.groups import (
     Group,
     GroupTracker,
     Individual,
+    _velocity,
     fuse_directions,
     group_numbers,
     individuals_of,
@@ -411,6 +412,30 @@ def test_the_robot_is_in_a_group_only_where_somebody_of_it_looks_at_it() -> None
     assert set(film.run(people(""), 6.0)) == {("c", "d"), ("a", "b")}
 
 
+def test_who_looks_at_the_robot_now_and_then_keeps_it_in_the_group_and_does_not_take_it_in() -> None:
+    film = Film(group_period=0.0)
+
+    def groups(looks: Sequence[bool], seconds: float) -> set:
+        """All groups after the first 3 s; looks: at the robot, by turns."""
+        found = [tuple(film.run([replace(person, looks_at_robot=looks[number % len(looks)] and person.id != ROBOT)
+                                 for person in standing(["c", "d", ROBOT])], STEP))
+                 for number in range(int(seconds / STEP))]
+        return set(found[int(3.0 / STEP):])
+
+    now_and_then = [True] + 9 * [False]
+    assert groups(now_and_then, 12.0) == {(("c", "d"),)}
+    assert groups([True], 5.0) == {((ROBOT, "c", "d"),)}
+    assert groups(now_and_then, 12.0) == {((ROBOT, "c", "d"),)}
+
+
+def test_a_velocity_is_that_of_the_line_of_least_squares() -> None:
+    random = np.random.default_rng(1)
+    times, places = 1.7e9 + np.sort(random.uniform(0.0, 2.0, 8)), random.normal(5000.0, 1.0, (8, 2))
+    line = np.polyfit(times - times[0], places - places[0], 1)[0]
+    assert _velocity([(at, x, y) for at, (x, y) in zip(times.tolist(), places.tolist())]) == pytest.approx(line)
+    assert all(map(math.isnan, _velocity([(1.0, 0.0, 0.0), (2.0, 1.0, 0.0)])))
+
+
 def test_people_are_taken_as_they_are_seen_and_numbered_by_their_group() -> None:
     people = PeopleSnapshot.of([Observer("a", np.array([1.0, 2.0, 1.6]), body_direction=np.array([0.0, 1.0, 0.0])),
                                 Observer("b", np.array([0.0, 0.0, 1.6]))])
@@ -469,12 +494,9 @@ def test_nobody_is_kept_of_people_who_come_and_go() -> None:
     for turn in range(200):
         film.run(standing(["a%d" % turn, "b%d" % turn]), STEP)
     film.run([], 5.0)
-    assert (
-        film.tracker._people == []
-        and film.tracker._known == []
-        and film.tracker._individuals == {}
-        and film.tracker._paths == {}
-    )
+    tracker = film.tracker
+    assert not any(map(len, (tracker._people, tracker._known, tracker._individuals, tracker._paths,
+                             tracker._attention, tracker._gone)))
 
 
 def test_the_trunk_comes_before_the_head() -> None:

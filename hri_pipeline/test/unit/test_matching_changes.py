@@ -7,11 +7,11 @@ from hri_pipeline.core.matching.changes import MatchChanges
 
 def test_changes_repeats_and_withdrawals():
     changes = MatchChanges(0.1)
-    assert changes.update({"a": 0.7}, 0.0) == [("a", 0.7)]
-    assert changes.update({"a": 0.75}, 0.5) == []
-    assert changes.update({"a": 0.85}, 0.6) == [("a", 0.85)]
-    assert changes.update({"a": 0.85}, 1.6) == [("a", 0.85)]
-    assert changes.update({"b": 0.9}, 1.7) == [("a", 0.0), ("b", 0.9)]
+    assert changes.update({"a": 0.7}, 100.0) == [("a", 0.7)]
+    assert changes.update({"a": 0.75}, 100.5) == []
+    assert changes.update({"a": 0.85}, 100.6) == [("a", 0.85)]
+    assert changes.update({"a": 0.85}, 101.6) == [("a", 0.85)]
+    assert changes.update({"b": 0.9}, 101.7) == [("a", 0.0), ("b", 0.9)]
     assert changes.withdraw_all() == [("b", 0.0)]
 
 

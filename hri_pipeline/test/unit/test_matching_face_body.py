@@ -167,6 +167,17 @@ def test_a_match_does_not_flicker_between_nearly_equal_bodies():
         assert set(matched) == {("f1", "b1")}
 
 
+def test_a_body_that_begins_anew_takes_the_face_of_its_old_id_which_is_still_listed():
+    matcher = make(["f1"], ["old", "new"])
+    for step in range(30):
+        stamp = 100.0 + 0.1 * step
+        matcher.add_face("f1", stamp, human(0.5)[0], ASPECT)
+        matcher.add_body("old" if step < 20 else "new", stamp, human(0.5 if step < 20 else 0.505)[1])
+        matched = [match.body for match in matcher.matches()]
+        assert matched == ["old"] or step > 20
+    assert matched == ["new"]
+
+
 def test_a_match_does_not_stick_to_the_wrong_body():
     matcher = make()
     feed(matcher, 1.0, {"f1": 0.5}, {"b1": 0.5, "b2": 0.6})
@@ -418,6 +429,26 @@ def test_the_first_points_are_not_mixed_with_the_time_without_any():
     assert min(values[25:]) > 0.85
 
 
+def test_a_face_whose_points_came_late_is_followed_between_its_images():
+    matcher = make(["face"], ["body"])
+    for step in range(30):
+        matcher.add_place("faces", "face", 50.0 + 0.1 * step, (0.0, 0.0, 2.0), "camera")
+    for stamp, x in ((54.0, 0.2), (54.5, 0.4)):
+        matcher.add_face("face", stamp, human(x)[0], ASPECT, "camera")
+    matcher.add_body("body", 54.25, human(0.3)[1], "camera")
+    assert [match.confidence for match in matcher.matches()] == pytest.approx([1.0])
+
+
+def test_a_clock_that_jumps_back_is_that_of_one_camera():
+    matcher = make(["fa", "fb"], ["ba", "bb"])
+    for camera in "ab":
+        matcher.add_face("f" + camera, 100.0, human(0.5)[0], ASPECT, camera)
+        matcher.add_body("b" + camera, 100.0, human(0.5)[1], camera)
+    assert len(matcher.matches()) == 2
+    matcher.add_face("fa", 10.0, human(0.5)[0], ASPECT, "a")
+    assert [(match.face, match.body) for match in matcher.matches()] == [("fb", "bb")]
+
+
 def test_images_of_different_cameras_are_not_compared():
     matcher = make(["face"], ["here", "there"])
     matcher.add_face("face", 1.0, human(0.5)[0], ASPECT, "left")
@@ -534,6 +565,23 @@ def test_what_is_kept_of_faces_and_bodies_is_bounded():
         matcher.add_body("b1", 100.0 + step / 30.0, human(0.5)[1])
     assert len(matcher._history.stamps_of("faces", "f1")) <= 12 * 30 + 1
     assert len(matcher._history.stamps_of("bodies", "b1")) <= 12 * 30 + 1
+
+
+def test_nothing_is_kept_of_faces_and_bodies_that_have_left():
+    """Each pair is seen by another camera."""
+    matcher, kept, (landmarks, skeleton) = make(), [], human(0.5)
+    for number in range(20):
+        face, body, camera, stamp = "f%d" % number, "b%d" % number, "camera%d" % number, 100.0 + number
+        matcher.set_tracked("faces", [face])
+        matcher.set_tracked("bodies", [body])
+        matcher.add_face(face, stamp, landmarks, ASPECT, camera)
+        matcher.add_body(body, stamp, skeleton, camera)
+        assert len(matcher.matches()) == 1
+        for kind, name in (("faces", face), ("bodies", body)):
+            matcher.add_place(kind, name, stamp, (0.0, 0.0, 2.0), camera)
+            assert matcher._history.stamps(kind) == matcher._history.stamps("places of " + kind) == {stamp}
+        kept.append(sum(len(value) for value in vars(matcher).values() if isinstance(value, (dict, set))))
+    assert set(kept) == {kept[0]}
 
 
 def test_bodies_of_one_image_that_come_one_by_one_are_all_compared():

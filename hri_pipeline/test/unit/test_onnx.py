@@ -334,6 +334,19 @@ def test_threads_prepare_items_and_divide_the_batch_on_a_cpu_only(doubler, machi
     np.testing.assert_array_equal(found["y"], [[6, 6], [2, 2], [8, 8], [10, 10]])
 
 
+@pytest.mark.parametrize(("provider", "batches"), [("CPUExecutionProvider", [2, 2, 1]),
+                                                   ("CUDAExecutionProvider", [12])])
+def test_a_cpu_works_on_a_few_at_once_where_more_gain_nothing(doubler, machine, provider, batches):
+    sessions, log = machine(provider), ModelLog(lambda text: None)
+    model = OnnxModel(doubler, ["cuda", "cpu"], notify=log, most_on_cpu=2)
+    del sessions.batches[:]
+    x = np.arange(10, dtype=np.float32).reshape(5, 2)
+    found = model.run({"x": x}, ["z", "y"])
+    assert sessions.batches == batches and log.inferences == {"doubler": 5}
+    np.testing.assert_array_equal(found["y"], x + x)
+    np.testing.assert_array_equal(found["z"], x * x)
+
+
 def test_several_threads_run_one_model_and_each_item_is_counted(doubler):
     log, threads = ModelLog(lambda text: None), Threads(4)
     model = OnnxModel(doubler, outputs=["y"], notify=log, threads=threads)

@@ -55,6 +55,14 @@ def test_a_publisher_that_dies_ends_it(robot):
     assert robot.problem == ""
 
 
+def test_a_publisher_that_goes_while_the_robot_is_silent_is_no_problem(robot):
+    robot.tell(True, 100.0)
+    robot.tell(False, 101.0)
+    for stamp in (102.0, 200.0):
+        robot.update(stamp, connected=False)
+    assert robot.problem == "" and not robot.speaks(102.0, 200.0)
+
+
 def test_a_word_that_is_repeated_for_ever_is_told(robot):
     for stamp in np.arange(100.0, 219.0, 0.1):
         robot.tell(True, stamp)
@@ -74,6 +82,21 @@ def test_sound_that_is_played_without_a_pause_is_told(robot):
     assert robot.long_speech(231.0) == ""
 
 
+def test_what_it_has_said_for_hours_is_not_kept(robot):
+    for stamp in np.arange(0.0, 3600.0, 4.0):
+        robot.tell(True, stamp)
+        robot.tell(False, stamp + 1.0)
+    assert len(robot._spans) < 20 and robot.speaks(3590.0, 3600.0)
+
+
+def test_a_longer_tail_counts_at_once(robot):
+    robot.tell(True, 100.0)
+    robot.tell(False, 101.0)
+    assert not robot.speaks(102.0, 102.1)
+    robot.reconfigure(VOICES.resolve({"robot_tail": 2.0}))
+    assert robot.speaks(102.0, 102.1)
+
+
 def test_time_that_goes_back_begins_anew(robot):
     robot.tell(True, 100.0)
     robot.tell(False, 50.0)
@@ -84,16 +107,18 @@ def test_what_it_plays_counts_and_its_pauses_do_not(robot):
     sound = 0.1 * np.ones(RATE // 10, np.float32)
     for number in range(5):
         robot.play(sound, 100.0 + 0.1 * number)
-    robot.play(1e-5 * sound, 100.5)
-    assert robot.speaks(100.2, 100.3) and robot.speaks(100.8, 100.85)
-    assert not robot.speaks(99.0, 99.9) and not robot.speaks(101.0, 101.1)
+    robot.play(5e-3 * sound, 100.5)         # -66 dBFS
+    assert robot.speaks(100.2, 100.3) and robot.speaks(100.85, 100.89)
+    assert not robot.speaks(99.0, 99.9) and not robot.speaks(100.91, 101.1)
+    robot.play(2e-2 * sound, 102.0)         # -54 dBFS
+    assert robot.speaks(102.0, 102.1) and not robot.speaks(101.0, 101.9)
 
 
 class Separator:
     """Gives the sources that a test asks for: {key: (azimuth in degrees, level)}."""
 
     def __init__(self):
-        self.sources, self.resets = {}, 0
+        self.sources, self.resets, self.settings = {}, 0, None
 
     def process(self, samples):
         return [SourceSignal(key, np.full(len(samples), level, np.float32), -32, direction(degrees), 0.1, True)
@@ -101,6 +126,9 @@ class Separator:
 
     def reset(self):
         self.resets += 1
+
+    def reconfigure(self, settings):
+        self.settings = settings
 
 
 def direction(degrees):
@@ -112,16 +140,16 @@ class Scene:
         self.robot, self.array, self.time = robot, Separator(), 100.0
         self.filter = BargeInFilter(self.array, robot, SETTINGS)
 
-    def play(self, seconds, **sources):
-        """Return {key: samples that come through}; sources: number=(degrees, level)."""
+    def play(self, seconds, step=STEP, **sources):
+        """Return {key: samples that come through}; sources: number=(degrees, level); step: samples at a time."""
         self.array.sources = {int(name[1:]): source for name, source in sources.items()}
         heard = {}
-        for _ in range(int(round(seconds / STEP_S))):
+        for _ in range(int(round(seconds * RATE / step))):
             self.filter.stamp = self.time
-            for signal in self.filter.process(np.zeros((STEP, 4), np.float32)):
+            for signal in self.filter.process(np.zeros((step, 4), np.float32)):
                 begin = self.time + signal.offset / RATE
                 heard.setdefault(signal.key, []).append((begin, len(signal.samples)))
-            self.time += STEP_S
+            self.time += step / RATE
         for parts in heard.values():
             ends = [begin + length / RATE for begin, length in parts]
             assert np.allclose([begin for begin, _ in parts[1:]], ends[:-1]), "nothing is missing, nothing comes twice"
@@ -158,12 +186,46 @@ def test_who_is_louder_and_elsewhere_is_heard(scene, degrees, level, heard):
         assert scene.play(0.5, s1=(0.0, 0.1), s2=(degrees, 0.05)) == {2: pytest.approx(0.5, abs=STEP_S)}
 
 
+@pytest.mark.parametrize("changes", [{"barge_in_angle": 3.0}, {"barge_in_margin": 20.0}])
+def test_changed_settings_decide_who_is_heard_at_once(scene, changes):
+    scene.robot.tell(True, 100.0)
+    scene.play(2.0, s1=(0.0, 0.1))
+    changed = VOICES.resolve(changes)
+    scene.filter.reconfigure(changed)
+    assert scene.play(1.0, s1=(0.0, 0.1), s2=(120.0, 0.2)) == {} and scene.array.settings is changed
+
+
 def test_a_short_bang_is_nobody(scene):
     scene.robot.tell(True, 100.0)
     scene.play(2.0, s1=(0.0, 0.1))
     for _ in range(5):
         assert scene.play(0.1, s1=(0.0, 0.1), s2=(120.0, 0.5)) == {}
         assert scene.play(0.3, s1=(0.0, 0.1), s2=(120.0, 0.01)) == {}
+
+
+def test_who_was_heard_while_the_robot_spoke_has_to_be_louder_again_the_next_time(scene):
+    for loud, heard in ((0.2, {2}), (0.05, set())):
+        scene.robot.tell(True, scene.time)
+        scene.play(2.0, s1=(0.0, 0.1))
+        assert set(scene.play(1.0, s1=(0.0, 0.1), s2=(120.0, loud))) == heard
+        scene.robot.tell(False, scene.time)
+        assert set(scene.play(1.0, s2=(120.0, 0.05))) == {2}
+
+
+def test_who_speaks_over_the_robot_for_long_is_not_taken_for_it(scene):
+    scene.robot.tell(True, 100.0)
+    scene.play(2.0, s1=(0.0, 0.1))
+    assert set(scene.play(10.0, s1=(0.0, 0.1), s2=(120.0, 0.2))) == {2}
+    scene.filter.reset()
+    assert set(scene.play(1.0, s1=(0.0, 0.1), s3=(120.0, 0.2))) == {3}
+
+
+def test_where_the_robot_is_not_heard_any_more_people_are_heard(scene):
+    """A head that turns takes its loudspeaker along."""
+    scene.robot.tell(True, 100.0)
+    scene.play(16.0, s1=(0.0, 0.1), step=RATE // 4)
+    scene.play(40.0, s1=(90.0, 0.1), step=RATE // 4)
+    assert set(scene.play(1.0, s1=(90.0, 0.1), s2=(0.0, 0.2))) == {2}
 
 
 def test_nobody_is_heard_before_the_place_of_the_robot_is_known(scene):
@@ -207,3 +269,10 @@ def test_without_an_array_the_sound_of_the_robot_is_a_pause(robot):
     robot.tell(False, 101.1)
     hear_humans(pipeline, robot, None, SoundBlock(np.zeros((RATE // 10, 1), np.float32), 102.0))
     assert pipeline.calls == ["sound", 100.1, 101.1, "sound"]
+
+
+def test_with_an_array_the_sound_of_the_robot_goes_through_the_filter_at_its_time(scene):
+    pipeline = Pipeline()
+    scene.robot.tell(True, 100.0)
+    hear_humans(pipeline, scene.robot, scene.filter, SoundBlock(np.zeros((RATE // 10, 4), np.float32), 103.0))
+    assert pipeline.calls == ["sound"] and scene.filter.stamp == 103.0

@@ -153,6 +153,40 @@ def test_eyes_far_away_are_too_small(frames):
     assert sds[0] < sds[1] < sds[2] == math.inf
 
 
+@pytest.mark.parametrize("place", [(0.0, 0.0, 2.0), (1.5, 0.0, 1.0), (0.0, -1.0, 1.0)], ids=["ahead", "aside", "above"])
+def test_directions_are_less_sure_the_more_a_face_is_turned_away_from_the_camera(frames, place):
+    ahead = -np.array(place) / np.linalg.norm(place)
+    left = np.cross((0.0, -1.0, 0.0), ahead) / np.linalg.norm(np.cross((0.0, -1.0, 0.0), ahead))
+    found = []
+    for turn in np.radians([0.0, 25.0, 60.0, 90.0]):
+        axes = [math.cos(turn) * ahead + math.sin(turn) * left, math.cos(turn) * left - math.sin(turn) * ahead]
+        put(frames, "camera", "face_fa", Pose(np.array([*axes, np.cross(*axes)]).T, np.array(place)))
+        put(frames, "face_fa", "gaze_fa", straight(0.01))
+        (ann,) = seen(frames)
+        found.append((ann.head_direction_sd, ann.gaze_direction_sd))
+    straight_on, hardly, turned, profile = found
+    assert straight_on == hardly == pytest.approx((SETTINGS.head_sd, SETTINGS.gaze_sd))
+    assert straight_on < turned < profile and straight_on[1] < turned[1] < profile[1]
+
+
+def test_a_face_at_the_place_of_the_camera_hides_nobody(frames):
+    frames.set_people(["ann", "bob"])
+    frames.set_feature("bob", "face", "fb")
+    put(frames, "camera", "face_fa", Pose(np.eye(3), np.zeros(3)))
+    put(frames, "camera", "face_fb", facing_camera(1.0))
+    assert [person.id for person in seen(frames)] == ["ann", "bob"]
+
+
+@pytest.mark.parametrize("slope, is_told", [(0.0, True), (60.0, True), (80.0, False), (-90.0, False)])
+def test_the_trunk_of_who_lies_or_bends_down_points_nowhere(frames, slope, is_told):
+    frames.set_feature("ann", "body", "ba")
+    cosine, sine = math.cos(math.radians(slope)), math.sin(math.radians(slope))
+    raised = np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
+    put(frames, "camera", "body_ba", Pose(OPTICAL.rotation.T @ raised, np.array([0.0, 0.0, 2.0])))
+    (ann,) = seen(frames)
+    assert (ann.body_direction is not None) is is_told
+
+
 def test_a_skeleton_without_a_face_gives_head_and_trunk(frames):
     frames.set_feature("ann", "face", "")
     frames.set_feature("ann", "body", "ba")
@@ -192,6 +226,10 @@ def test_old_frames_and_sensors_without_a_place_give_nobody(frames):
     assert seen(frames) == []
     put(frames, "elsewhere", "face_fa", facing_camera(1.0))
     assert seen(frames) == []
+    frames.set_people(["ann", "bob"])
+    frames.set_feature("bob", "face", "fb")
+    put(frames, "camera", "face_fb", facing_camera(1.0))
+    assert [person.id for person in seen(frames)] == ["bob"], "the others are where they are"
 
 
 def test_numbers_that_are_none_are_refused(frames):

@@ -822,6 +822,20 @@ def test_a_full_gallery_makes_nobody_new_and_goes_on():
     assert len(scene.gallery) == 1
 
 
+def test_strangers_of_months_do_not_keep_a_full_gallery_from_learning():
+    scene = Scene(MemoryGallery("synthetic", SIZE, CALIBRATION, max_persons=3))
+    for number in (1, 2, 1, 3):
+        scene.show({"f{}".format(number): (number, 0.2)}, 10.0)
+        scene.recogniser.keep([])
+    first, second, third = scene.gallery.ids()
+    scene.recogniser.gallery.enrol(third)
+    scene.show({"f1": (1, 0.2), "f4": (4, 0.2)}, 10.0)
+    assert scene.person("f1") == first and scene.person("f4"), "who has come is learnt"
+    assert set(scene.gallery.ids()) == {first, third, scene.person("f4")}, "who was not seen for longest gave way"
+    scene.show({"f1": (1, 0.2), "f4": (4, 0.2), "f5": (5, 0.2)}, 10.0)
+    assert "the gallery is full" in why(scene, "f5"), "nobody in view gives way, nor who has agreed"
+
+
 def test_state_stays_bounded_over_thousands_of_faces():
     scene = Scene(MemoryGallery("synthetic", SIZE, CALIBRATION, max_persons=20))
     for number in range(400):

@@ -4,7 +4,7 @@ import pytest
 from scene_bag import BASE
 
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.score.bag import BagWriter, read_bag
+from hri_pipeline.score.bag import BagWriter, Record, read_bag
 from hri_pipeline.score.report import gaze_shares, main, page, spans, speech_spans
 
 
@@ -72,6 +72,13 @@ def test_people_have_their_names_and_what_they_said_and_ids_of_a_moment_are_coun
     assert speech.count("<text x='4'") == 2, "one row of Ada, one of the voice of nobody"
     assert "0:02.0 Ada &lt;3: words of vabcd" in speech and "voice vnone" in speech
     assert "At most 2 at a time, 2 ids, 1 of them not shown" in text
+
+
+@pytest.mark.parametrize("seconds, told", [(0.04, "0:00.0"), (59.93, "0:59.9"), (59.97, "1:00.0"), (3725.2, "62:05.2")])
+def test_when_something_was_said_is_in_minutes_and_seconds(seconds, told):
+    record = Record(BASE, BASE + 4000.0, speaking={"v": [(BASE + seconds, True)]},
+                    texts=[(BASE + seconds, "v", "hello")])
+    assert "<li>{} voice v: hello</li>".format(told) in page(record, "said")
 
 
 def test_an_empty_recording_says_so(tmp_path):

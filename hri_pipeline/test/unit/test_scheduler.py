@@ -310,6 +310,19 @@ def test_it_gives_way_within_a_second_and_keeps_its_least_budget():
     assert faces[0].spare + bodies[0].spare > 0.2, "and takes it again"
 
 
+@pytest.mark.parametrize("share", [0.85, 0.9, 0.95, 1.0])
+@pytest.mark.parametrize("cores", [2, 4, 16])
+def test_a_large_share_is_used_and_given_back_within_a_second_too(share, cores):
+    machine = Machine(cores)
+    nodes = [faces_node(machine, 8, share) for _ in range(3 * cores // 2)]
+    machine.run(20.0, *nodes)
+    _, used = machine.run(20.0, *nodes)
+    assert 0.9 * min(share, 0.95) * cores < used < 0.99 * cores
+    machine.others = float(cores)
+    machine.run(1.1, *nodes)
+    assert [node[0].spare for node in nodes] == [0.0] * len(nodes)
+
+
 def test_who_uses_more_and_less_by_turns_takes_no_more_than_on_average():
     """One person; the others' use is near what lets bodies be looked at in each image that is taken."""
     machine = Machine(2)

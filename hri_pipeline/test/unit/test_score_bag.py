@@ -131,6 +131,15 @@ def test_persons_in_a_frame_that_leads_nowhere(tmp_path):
     assert figures["foreign_frames"] > 300 and figures["persons_found"] == 0
 
 
+def test_persons_in_a_frame_that_leads_to_itself(tmp_path):
+    with SceneBag(tmp_path / "a.bag") as bag:
+        bag.truth(World(SCENE).at(0.0), BASE)
+        bag.transforms("/tf", [("odom", "base", upright((0.0, 0.0, 0.0))), ("base", "odom", upright((0.0, 0.0, 0.0)))],
+                       BASE + 1.0)
+        bag.transforms("/tf", [("base", "person_pa", upright((1.0, 0.0, 0.0)))], BASE + 1.1)
+    assert score(read_bag(tmp_path / "a.bag"))["foreign_frames"] == 1
+
+
 def test_without_the_truth(tmp_path, capsys):
     path = write(tmp_path / "a.bag", truth=False)
     figures = score(read_bag(path))
@@ -202,6 +211,38 @@ def test_a_recording_that_was_closed(tmp_path):
     with SceneBag(tmp_path / "a.bag") as bag:
         bag.transforms("/tf", [("map", "person_pa", upright((1.0, 2.0, 0.0)))], BASE)
     assert is_closed(tmp_path / "a.bag")
+
+
+def test_groups_and_speech_of_the_types_of_rep_155(tmp_path):
+    """A message for each group, of which those of one stamp belong together; of speech what is finished."""
+    with SceneBag(tmp_path / "a.bag") as bag:
+        for stamp, groups in ((BASE, ["ab", "cd"]), (BASE + 1.0, ["abc"])):
+            for number, members in enumerate(groups):
+                name = "hri_msgs/msg/Group"
+                bag.write("/humans/interactions/groups", name,
+                          bag.make(name, bag.header(stamp), "g%d" % number, list(members)), stamp)
+        for stamp, texts in ((BASE, ("how", "")), (BASE + 1.0, ("", "how are you")), (BASE + 5.0, ("", "good bye"))):
+            name = "hri_msgs/msg/LiveSpeech"
+            bag.write("/humans/voices/v/speech", name, bag.make(name, bag.header(stamp), *texts, 0.9, "en-GB"), stamp)
+    record = read_bag(tmp_path / "a.bag")
+    assert record.groups == [(BASE, (frozenset("ab"), frozenset("cd"))), (BASE + 1.0, (frozenset("abc"),))]
+    assert [text for _, text in record.said["v"]] == ["how are you", "good bye"]
+    assert [when - BASE for when, _, _ in record.texts] == pytest.approx([1.0, 5.0])
+
+
+def test_of_texts_that_replace_each_other_the_last_one_was_said(tmp_path):
+    with SceneBag(tmp_path / "a.bag") as bag:
+        for number, text in enumerate(("how", "how are", "how are you")):
+            bag.text("/humans/voices/v/speech", text, BASE + number)
+    assert [text for _, text in read_bag(tmp_path / "a.bag").said["v"]] == ["how are you"]
+
+
+def test_places_that_are_told_again_or_of_before_are_left_out(tmp_path):
+    with SceneBag(tmp_path / "a.bag") as bag:
+        for number, (stamp, x) in enumerate(((10.0, 1.0), (10.0, 1.5), (11.0, 2.0), (9.0, 3.0))):
+            bag.transforms("/tf", [("map", "person_pa", upright((x, 0.0, 0.0)))], BASE + stamp, BASE + 20.0 + number)
+    track = read_bag(tmp_path / "a.bag").tracks["pa"]
+    assert [x for x, _, _ in track.places] == [1.0, 2.0] and track.ages == pytest.approx([10.0, 11.0])
 
 
 def test_messages_of_another_type_are_damaged_ones(tmp_path):

@@ -86,6 +86,13 @@ def test_a_directory_in_reading_order_and_in_one_format(tmp_path):
         assert np.fft.rfftfreq(len(part), 1 / 16000)[np.argmax(spectrum)] == pytest.approx(frequency, abs=4.0)
 
 
+def test_reading_order_of_any_names(tmp_path):
+    names = ["take 2.wav", "take 10.wav", "take 10\u00b2.wav"]
+    for name in names:
+        (tmp_path / name).touch()
+    assert [path.name for path in sounds_in(tmp_path)] == names
+
+
 def damaged(path):
     """A flac file whose second half cannot be decoded."""
     noise = np.random.default_rng(0).normal(scale=0.1, size=48000)
@@ -107,10 +114,8 @@ def test_a_file_that_is_damaged_further_on_is_left_out_of_a_directory(tmp_path):
 
 
 def test_a_damaged_file_alone_is_an_error(tmp_path):
-    source = open_sound_source(settings(damaged(tmp_path / "s1.flac")), refuse)
     with pytest.raises(SoundSourceError, match="s1.flac is damaged.*replace it"):
-        for _ in range(60):
-            source.read(1600)
+        everything(open_sound_source(settings(damaged(tmp_path / "s1.flac"), loop=False), refuse), 1600)
 
 
 def test_one_channel_goes_to_all(tmp_path):
@@ -139,6 +144,7 @@ def test_it_loops(tmp_path):
     (lambda path: path, {}, "holds no sound file"),
     (lambda path: str(path / "x.wav") if (path / "x.wav").write_bytes(b"no sound") else "", {}, "x.wav.*ffmpeg"),
     (lambda path: write(path / "e.wav", 0.0), {}, "holds no sound; give another"),
+    (lambda path: write(path / "s.wav", 2.1 / 48000, 48000), {"sample_rate": 8000}, "holds no sound; give another"),
     (lambda path: write(path / "t.wav", channels=3), {"channels": 2}, "3 channels.*set ~channels to 1 or 3"),
 ])
 def test_what_cannot_be_played_is_named_with_the_mend(tmp_path, make, changes, words):

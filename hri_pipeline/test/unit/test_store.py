@@ -515,6 +515,27 @@ def test_neither_the_end_nor_who_waits_waits_for_ever(disk):
     assert writer.close() == ""
 
 
+@pytest.mark.parametrize("away", ["its file", "its directory", "another in its place"])
+def test_a_file_that_goes_while_it_is_used_is_told(path, tmp_path, away):
+    """Cleaned up by somebody, or restored from elsewhere: what is written goes nowhere then."""
+    store = PersonStore(path)
+    store.put_record(StoredPerson("anna"))
+    source, target = (path.parent if away == "its directory" else path), tmp_path / "elsewhere"
+    source.rename(target)
+    if away == "another in its place":
+        path.write_bytes(target.read_bytes())
+    for use in (lambda: store.put_record(StoredPerson("bert")), store.version, store.load_records,
+                lambda: store.expire(0.0, 0.0, 1)):
+        with pytest.raises(StoreError, match="put it back"):
+            use()
+    if away == "another in its place":
+        path.unlink()
+    target.rename(source)
+    store.put_record(StoredPerson("carl"))
+    assert [one.id for one in store.load_records()] == ["anna", "carl"], "as if nothing had been"
+    store.close()
+
+
 def test_with_a_key_nothing_tells_who_or_when(path, tmp_path):
     key = TemplateCipher(make_key_file(tmp_path / "key"))
     store = PersonStore(path)       # an earlier version, or a process without the key, wrote this in plain
@@ -542,6 +563,6 @@ def test_with_a_key_nothing_tells_who_or_when(path, tmp_path):
         PersonStore(path, TemplateCipher(make_key_file(tmp_path / "other"))).load_records()
     store = PersonStore(path, key)
     assert store.expire(5678910.0, 2000000.0, 0) == ["anna"] and len(store.load_records()) == 2
-    assert store.expire(5678910.0, 0.0, 1) == ["bert"]
+    assert store.expire(5678910.0, 0.0, 1) == ["carl"]
     assert b"5678910" not in everything(path.parent), "the times at which the store was used"
     store.close()

@@ -51,8 +51,10 @@ def test_stage_times():
 
 
 def test_a_clock_that_goes_back_is_told_with_the_remedy():
-    text = clock_went_back(12.34)
+    text = clock_went_back(12.34, simulated=True)
     assert text.startswith("/clock went back by 12.3 s") and "one program only publish /clock" in text
+    text = clock_went_back(300.0, simulated=False)
+    assert text.startswith("the clock of this machine was set back by 300.0 s") and "/clock" not in text
 
 
 def test_the_parts_of_a_stage_are_one_time():

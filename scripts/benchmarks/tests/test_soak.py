@@ -5,7 +5,7 @@ import argparse
 import pytest
 
 from benchmarks import soak
-from benchmarks.soak import FDS, Samples, figures, floor_growth, growth, read, restarted, settled, slope
+from benchmarks.soak import FDS, LeastMemory, Samples, figures, floor_growth, growth, read, restarted, settled, slope
 
 
 def samples(per_hour=0.0, fds=20, pids=(7,), minutes=60.0, parameters=30):
@@ -30,6 +30,20 @@ def test_the_slope_of_a_line_with_outliers():
     assert slope(times, values) == pytest.approx(3.0, abs=0.5)
     with pytest.raises(ValueError):
         slope([1.0, 1.0], [1.0, 2.0])
+
+
+def test_memory_that_is_handed_back_every_20_s_has_no_slope():
+    """A saw of 40 MB; looks 30 s apart see some of its teeth only."""
+    held, memory, told, seen = (lambda at: 200.0 + 2.0 * (at % 20.3)), LeastMemory(), [], []
+    for at in range(0, 1200, 2):
+        memory.see(7, held(at))
+        if at % 30 == 28:
+            told.append((at, memory.take(7, held(at))))
+            seen.append(held(at))
+    assert max(seen) - min(seen) > 35.0
+    assert all(200.0 <= least < 204.0 for _, least in told), "of the last half minute, not of all before"
+    assert abs(3600.0 * slope(*zip(*told))) < 5.0
+    assert memory.take(8, 90.0) == 90.0 and memory.take(7, 500.0) == 500.0
 
 
 def test_growth_is_that_of_the_ends():

@@ -18,13 +18,14 @@ Edge = Tuple[MatchNode, MatchNode, float]
 
 @dataclass(frozen=True)
 class PersonRow:
-    """One person: position in `frame` in m, age of the newest transform in ms; None where unknown."""
+    """One person: position in `frame` in m, age of the newest transform in ms; None where unknown, as the confidence
+    of who is not tracked."""
 
     id: str
     face: str
     body: str
     voice: str
-    confidence: float
+    confidence: Optional[float]
     position: Optional[Tuple[float, float, float]]
     frame: str
     age_ms: Optional[float]
@@ -33,6 +34,11 @@ class PersonRow:
     def is_voice(self) -> bool:
         """Whether there is nothing but a voice."""
         return bool(self.voice) and not (self.face or self.body)
+
+    @property
+    def is_in_view(self) -> bool:
+        """Whether a camera sees this person now, who is tracked by more than a voice and not where seen earlier."""
+        return not self.is_voice and self.confidence is not None and not 0.0 < self.confidence < 1.0
 
 
 class RateMeter:
@@ -60,15 +66,15 @@ def format_table(rows: Sequence[PersonRow], face_rate: float, body_rate: float, 
                  nobody: str = "nobody yet") -> str:
     """Return the table as plain text, with `note` as its last line, without a newline at the end.
 
-    Without rows it says `nobody`. Persons who are only a voice stand below the others and are counted apart. Without a
-    place there is no confidence.
+    Without rows it says `nobody`. Persons out of view stand below the others, and below them who is only a voice; all
+    are counted apart. Without a place there is no confidence.
     """
     lines = ["%-22s  %-6s %-6s %-6s %10s  %-22s %-20s %7s" % (
         "person", "face", "body", "voice", "confidence", "position x y z (m)", "frame", "age ms")]
-    for row in sorted(rows, key=lambda row: row.is_voice):
+    for row in sorted(rows, key=lambda row: (row.is_voice, not row.is_in_view)):
         position = "%6.2f %6.2f %6.2f" % row.position if row.position is not None else "-"
         age = "%7.0f" % row.age_ms if row.age_ms is not None else "      -"
-        confidence = "%.2f" % row.confidence if row.position is not None else "-"
+        confidence = "-" if row.position is None or row.confidence is None else "%.2f" % row.confidence
         lines.append("%-22s  %-6s %-6s %-6s %10s  %-22s %-20s %s" % (
             row.id, row.face or "-", row.body or "-", row.voice or "-", confidence, position,
             row.frame or "-", age))
@@ -79,11 +85,11 @@ def format_table(rows: Sequence[PersonRow], face_rate: float, body_rate: float, 
 
 
 def _counts(rows: Sequence[PersonRow]) -> str:
-    """How many there are, and apart from them how many who are only a voice."""
-    heard = sum(row.is_voice for row in rows)
-    seen = len(rows) - heard
-    text = "%d person%s" % (seen, "" if seen == 1 else "s")
-    return text + (", %d voice%s" % (heard, "" if heard == 1 else "s") if heard else "")
+    """How many there are in view, and apart from them how many out of view and how many who are only a voice."""
+    heard, seen = sum(row.is_voice for row in rows), sum(row.is_in_view for row in rows)
+    away = len(rows) - heard - seen
+    return "%d person%s in view" % (seen, "" if seen == 1 else "s") + (", %d out of view" % away if away else "") + (
+        ", %d voice%s" % (heard, "" if heard == 1 else "s") if heard else "")
 
 
 class CameraStatus:
@@ -149,11 +155,12 @@ class LiveDisplay:
         return start + "".join("\x1b[2K%s\n" % line for line in shown) + "\x1b[0J"
 
 
-def as_data(rows: Sequence[PersonRow], face_rate: float, body_rate: float, seen: Sequence[str]) -> Dict[str, object]:
-    """Return the table as data for JSON; `seen` are the ids of all persons seen since the start."""
-    persons: List[Dict[str, object]] = [asdict(row) for row in rows]
+def as_data(rows: Sequence[PersonRow], face_rate: float, body_rate: float, seen: Iterable[str]) -> Dict[str, object]:
+    """Return the table as data for JSON; seen: ids of all persons since the start, of whom those who are not in the
+    table have left."""
+    persons: List[Dict[str, object]] = [dict(asdict(row), in_view=row.is_in_view) for row in rows]
     return {"persons": persons, "faces_per_second": face_rate, "bodies_per_second": body_rate,
-            "persons_seen": sorted(seen)}
+            "persons_left": sorted(set(seen) - {row.id for row in rows})}
 
 
 def graph_text(snapshot: Snapshot, matches: Iterable[Edge], merges: Iterable[Tuple[str, str, float]],

@@ -165,6 +165,7 @@ class Place:
     exact_stamp: the same time as the caller knows it, for the caller; a float of seconds loses nanoseconds. origin:
     where the sensor was, (3,) m in `frame`; None where that is not known. covariance: (3, 3) m^2 of the position in
     `frame`, None where it is not known. camera: maps the sensor's coordinates to `frame`, None where it is not known.
+    of_camera: `frame` is that of a camera, whatever its name says.
     """
 
     frame: str
@@ -174,18 +175,33 @@ class Place:
     origin: Optional[np.ndarray] = None
     covariance: Optional[np.ndarray] = None
     camera: Optional[Pose] = None
+    of_camera: bool = False
+
+    @property
+    def is_optical(self) -> bool:
+        """Whether z of `frame` points ahead of a camera and y down; else z points up."""
+        return self.of_camera or is_optical(self.frame)
 
     @property
     def horizontal(self) -> Tuple[float, float]:
         """The two horizontal coordinates, m."""
         x, y, z = self.pose.translation.tolist()
-        return (x, z) if is_optical(self.frame) else (x, y)
+        return (x, z) if self.is_optical else (x, y)
 
     @property
     def horizontal_covariance(self) -> Optional[np.ndarray]:
         """The covariance (2, 2) m^2 of the two horizontal coordinates."""
-        kept = [0, 2] if is_optical(self.frame) else [0, 1]
+        kept = [0, 2] if self.is_optical else [0, 1]
         return None if self.covariance is None else self.covariance[np.ix_(kept, kept)]
+
+
+def aged_place(place: Place, elapsed: float) -> Place:
+    """Return the place with the covariance of `elapsed` s later."""
+    if place.covariance is None:
+        return place
+    # A camera may be tilted by any angle, so that none of its axes is the vertical.
+    grow = aged if place.is_optical else aged_upright
+    return replace(place, covariance=grow(place.covariance, elapsed))
 
 
 def is_at(one: Place, other: Place, gate: float) -> bool:
@@ -484,11 +500,7 @@ class PersonLocation:
             return None
         away = now - self.updated
         place = self._motion.coast(self.place, away)
-        if place.covariance is None or not self.is_silent(now):
-            return place
-        # A camera may be tilted by any angle, so that none of its axes is the vertical.
-        grow = aged if is_optical(place.frame) else aged_upright
-        return replace(place, covariance=grow(place.covariance, away))
+        return aged_place(place, away) if self.is_silent(now) else place
 
     def retain(self, features: Container[Hashable], now: float) -> None:
         """Let go of all sources but those of these features; at `now` (s) the others have left."""
@@ -551,13 +563,13 @@ class Space(Enum):
     PUBLIC = "in_public_space"
 
 
-def horizontal_distance(place: Place, origin: np.ndarray, optical: bool = False) -> float:
+def horizontal_distance(place: Place, origin: np.ndarray) -> float:
     """Return the horizontal distance (m) of a place from `origin` (3,), m in the frame of the place.
 
-    How high a face or a camera is does not matter. optical: the frame is a camera's, whatever its name says.
+    How high a face or a camera is does not matter.
     """
     x, y, z = (place.pose.translation - origin).tolist()
-    return math.hypot(x, z if optical or is_optical(place.frame) else y)
+    return math.hypot(x, z if place.is_optical else y)
 
 
 class Proxemics:

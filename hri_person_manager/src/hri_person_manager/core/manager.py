@@ -411,7 +411,8 @@ class PersonManager:
             covariance = self._cameras.covariance(place.pose.translation, origin, self._errors.get(
                 sensor, self._settings.distance_error))
         # Not replace(), which takes three times as long.
-        return Place(place.frame, place.pose, place.stamp, place.exact_stamp, origin, covariance, place.camera)
+        return Place(place.frame, place.pose, place.stamp, place.exact_stamp, origin, covariance, place.camera,
+                     place.of_camera)
 
     def _compare_across_cameras(self, feature: MatchNode, source: PlaceSource, place: Place, sensor: str) -> Place:
         """Take the place of a feature that a camera sees; returns where its human is by all cameras that see it."""

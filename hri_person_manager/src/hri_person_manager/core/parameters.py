@@ -87,8 +87,8 @@ class PersonManagerSettings(Settings):
         0.0, "Persons not seen for longer are removed from the store. 0: never.", unit="days", minimum=0.0,
         maximum=36500.0)
     store_max_persons: int = parameter(
-        1000, "Most persons in the store; those unseen for longest are removed. 0: no limit.", minimum=0,
-        maximum=1000000)
+        1000, "Most persons in the store; of more, those unseen for longest are removed, and who has a name, a "
+        "language or has agreed to be recognised last. 0: no limit.", minimum=0, maximum=1000000)
     max_matches_per_second: float = parameter(
         2000.0, "Candidate matches accepted per second; more are dropped and counted in the diagnostics.", unit="1/s",
         minimum=1.0, maximum=100000.0, live=True)

@@ -26,7 +26,7 @@ from typing import (
 )
 
 from hri_person_manager.core.features import FEATURES, Kind, MatchNode
-from hri_person_manager.core.location import Decay, PersonLocation, Place
+from hri_person_manager.core.location import Decay, PersonLocation, Place, aged_place
 from hri_person_manager.core.merges import Merges
 
 ANONYMOUS_PREFIX = "anonymous_person_"
@@ -149,7 +149,7 @@ class PersonTable:
 
     def waiting_until(self) -> Optional[float]:
         """Return the time (s) at which the next unassigned feature becomes a person, None if none waits."""
-        if not self._unassigned or not self._anonymous_persons:
+        if not self._anonymous_persons:
             return None
         return min((since + self._delay_of((node,)) for node, since in self._unassigned.items()
                     if node not in self._held), default=None)
@@ -251,9 +251,7 @@ class PersonTable:
 
     def _drop_dead_aliases(self) -> None:
         for alias_id, alias in list(self.aliases.items()):
-            alive = any(node in self._of_feature or node in self._unassigned
-                        for node in alias.person.features)
-            if not alive or alias.target not in self.persons:
+            if not any(node in self._of_feature for node in alias.person.features):
                 del self.aliases[alias_id]
 
 
@@ -321,7 +319,10 @@ class KnownIds:
 
 
 class PersonState(NamedTuple):
-    """What is published about one person; `alias` names the person that this one was merged into."""
+    """What is published about one person; `alias` names the person that this one was merged into.
+
+    place_age: s since the place came, in which its covariance has not grown.
+    """
 
     id: str
     face: str
@@ -331,11 +332,17 @@ class PersonState(NamedTuple):
     confidence: float
     alias: str = ""
     place: Optional[Place] = None
+    place_age: float = 0.0
 
     @property
     def tracked(self) -> bool:
         """Tell whether a feature of this person is tracked now."""
         return bool(self.face or self.body or self.voice)
+
+    @property
+    def place_now(self) -> Optional[Place]:
+        """The place with the covariance of now: people walk on from one image to the next."""
+        return None if self.place is None else aged_place(self.place, self.place_age)
 
 
 class Snapshot(NamedTuple):
@@ -487,5 +494,6 @@ class PublishedPersons:
             return PersonState(person.id, "", "", "", person.anonymous, 0.0, shown.target)
         face, body, voice = (shown.features.get(kind, "") for kind in FEATURES)
         location = person.location
+        silent = location.is_silent(now)
         return PersonState(person.id, face, body, voice, person.anonymous, location.confidence(now, self.decay), "",
-                           location.expected(now) if location.is_silent(now) else location.place)
+                           *(location.expected(now), 0.0) if silent else (location.place, now - location.updated))

@@ -207,7 +207,7 @@ class PersonOnPage:
 
 
 def page_state(people: Sequence[PersonOnPage], groups: Sequence[Sequence[str]],
-               robot: Optional[Tuple[str, Pose, bool]], camera: str) -> Dict[str, Any]:
+               robot: Optional[Tuple[str, Pose, bool]], camera: str, camera_frame: str = "") -> Dict[str, Any]:
     """Return what the page shows.
 
     Parameters
@@ -219,12 +219,15 @@ def page_state(people: Sequence[PersonOnPage], groups: Sequence[Sequence[str]],
         Frame and pose of the robot, and whether it looks along z (an optical frame) and not along x.
     camera : str
         Why there is no picture; empty while pictures come.
+    camera_frame : str
+        Frame of the pictures, which is optical whatever its name says; empty where none came.
     """
     frame = _common_frame(people)
-    shown = [_person_data(person, frame) for person in people]
+    level = from_above(is_optical(frame) or frame == camera_frame)
+    shown = [_person_data(person, frame, level) for person in people]
     return {"people": shown, "frame": frame, "camera": camera,
             "groups": [list(group) for group in groups if len(group) > 1],
-            "robot": _place(robot[1], frame, along_z=robot[2]) if robot is not None and robot[0] == frame else None}
+            "robot": _place(robot[1], level, along_z=robot[2]) if robot is not None and robot[0] == frame else None}
 
 
 def _common_frame(people: Sequence[PersonOnPage]) -> str:
@@ -233,32 +236,31 @@ def _common_frame(people: Sequence[PersonOnPage]) -> str:
     return max(sorted(set(frames)), key=frames.count, default="")
 
 
-def _person_data(person: PersonOnPage, frame: str) -> Dict[str, Any]:
+def _person_data(person: PersonOnPage, frame: str, level: np.ndarray) -> Dict[str, Any]:
     blue, green, red = colour_of(person.id)
     data = {"id": person.id, "name": person.name, "anonymous": person.anonymous, "since": round(person.since, 1),
             "colour": "#{:02x}{:02x}{:02x}".format(red, green, blue), "engagement": person.engagement,
             "speaking": person.speaking, "posture": person.posture, "looks_at": person.looks_at,
             "confidence": round(person.confidence, 2), "face": person.face, "body": person.body, "place": None}
     if person.pose is not None and person.frame == frame:
-        data["place"] = _place(person.pose, frame, person.covariance)
+        data["place"] = _place(person.pose, level, person.covariance)
     return data
 
 
-def from_above(frame: str) -> np.ndarray:
-    """Return (2, 3): what takes a vector of the frame to forward and left, seen from above.
+def from_above(optical: bool) -> np.ndarray:
+    """Return (2, 3): what takes a vector of a frame to forward and left, seen from above.
 
     x and y of a level frame, z and -x of an optical one (REP-103), whose camera is taken for level.
     """
-    if is_optical(frame):
+    if optical:
         return np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
     return np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
-def _place(pose: Pose, frame: str, covariance: Optional[np.ndarray] = None, along_z: bool = False
+def _place(pose: Pose, level: np.ndarray, covariance: Optional[np.ndarray] = None, along_z: bool = False
            ) -> Optional[Dict[str, Any]]:
     """Return x, y (m), heading (rad) and the half axes (m) and turn (rad) of the ellipse of 95 %; None without
     numbers."""
-    level = from_above(frame)
     point, ahead = level @ pose.translation, level @ pose.rotation[:, 2 if along_z else 0]
     if not np.isfinite([*point, *ahead]).all():
         return None

@@ -25,6 +25,7 @@ from rosgraph.roslogging import RosStreamHandler
 from std_msgs.msg import Float32, String
 from std_srvs.srv import Empty, Trigger
 
+from hri_msgs.msg import IdsList
 from hri_person_manager.core.display import (
     CameraStatus,
     LiveDisplay,
@@ -52,6 +53,7 @@ from hri_pipeline.ros.subscriptions import IdSubscribers
 from hri_pipeline.ros.tf import SKELETONS, Frames, TfSubscriber
 
 PRIVACY_S = 2.0      # in which all nodes have sent what they have latched
+FRAME_S = 1.0        # for which the last transform of who is not tracked counts; they come ten times a second
 NOBODY = 3
 ONCE_S = 30.0
 REDRAW_S = 0.5
@@ -284,7 +286,7 @@ def _show_until(options: argparse.Namespace, end: float, name: str) -> int:
         pass
     finally:
         _end_quietly()
-        last = as_data(watch.rows(), *watch.rates(), sorted(watch.seen))
+        last = as_data(watch.rows(), *watch.rates(), watch.seen)
         master.close()
         watch.close()
     try:
@@ -337,7 +339,7 @@ def _show_periodically(watch: PersonsWatch, master: MasterWatch, end: float, per
     while not rospy.is_shutdown():
         threading.Event().wait(max(0.0, min(REDRAW_S, period, end - time.monotonic())))
         now = time.monotonic()
-        meets = not met and any((row.face or row.body) and row.position is not None and row.confidence >= 1.0
+        meets = not met and any((row.face or row.body) and row.position is not None and row.confidence == 1.0
                                 for row in watch.rows())
         if drawing is not None or meets or now >= end or now >= printed + period:
             text = _table(watch, master)
@@ -381,13 +383,15 @@ def _seconds(text: str) -> float:
 
 
 class PersonsWatch:
-    """Latest state of all tracked persons, and the rates at which faces and bodies come."""
+    """Latest state of all persons who are tracked or still have a frame, and the rates at which faces and bodies
+    come."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._ids: List[str] = []
+        self._known: Set[str] = set()
         self._values: Dict[str, Dict[str, object]] = {}
-        self._frames: Dict[str, Tuple[RawTransform, float]] = {}
+        self._frames: Dict[str, Tuple[RawTransform, float, float]] = {}
         self._rates = {"face_": RateMeter(), "body_": RateMeter()}
         self._cameras = CameraStatus()
         self._features: Dict[str, List[str]] = {}
@@ -396,13 +400,17 @@ class PersonsWatch:
         for plural, prefix in (("faces", "face_"), ("bodies", "body_")):
             self._feeds.append(IdSubscribers(plural, {}, self._on_value, self._features_callback(prefix),
                                              max_ids=MAX_FEATURES))
+        self._list = rospy.Subscriber("/humans/persons/known", IdsList, self._on_known, queue_size=1)
         self._subscriber = TfSubscriber(self._on_frames, skip=SKELETONS)
         self._diagnostics = rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics, queue_size=100)
 
     def rows(self) -> List[PersonRow]:
-        """Return one row per tracked person, by id."""
+        """Return one row per person who is tracked or has a frame, by id."""
+        oldest = time.monotonic() - FRAME_S
         with self._lock:
-            return [self._row(person_id) for person_id in sorted(self._ids)]
+            self._frames = {person_id: frame for person_id, frame in self._frames.items()
+                            if person_id in self._ids or frame[2] >= oldest}
+            return [self._row(person_id) for person_id in sorted({*self._ids, *self._frames})]
 
     def rates(self) -> Tuple[float, float]:
         """Return the images per second in which faces and bodies were found."""
@@ -418,6 +426,7 @@ class PersonsWatch:
     def close(self) -> None:
         """Let go of all topics. Idempotent."""
         release(self._diagnostics)
+        release(self._list)
         for feed in self._feeds:
             feed.close()
         self._subscriber.close()
@@ -426,19 +435,24 @@ class PersonsWatch:
         values = self._values.get(person_id, {})
         position, frame, age = None, "", None
         if person_id in self._frames:
-            transform, age_at_arrival = self._frames[person_id]
+            transform, age_at_arrival, _ = self._frames[person_id]
             position, frame, age = transform.translation, transform.parent, age_at_arrival
         return PersonRow(person_id, str(values.get("face_id", "")), str(values.get("body_id", "")),
-                         str(values.get("voice_id", "")), float(values.get("location_confidence", 0.0)),
+                         str(values.get("voice_id", "")),
+                         float(values.get("location_confidence", 0.0)) if person_id in self._ids else None,
                          position, frame, age)
 
     def _on_tracked(self, ids: List[str]) -> None:
         with self._lock:
             self._ids = list(ids)
             self.seen.update(ids)
-            for known in (self._values, self._frames):
-                for gone in [person_id for person_id in known if person_id not in ids]:
-                    del known[gone]
+            self._values = {person_id: values for person_id, values in self._values.items() if person_id in ids}
+
+    def _on_known(self, message: IdsList) -> None:
+        with self._lock:
+            self._known = set(message.ids)
+            self._frames = {person_id: frame for person_id, frame in self._frames.items()
+                            if person_id in self._known or person_id in self._ids}
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -467,6 +481,6 @@ class PersonsWatch:
                 # A robot may have a body_link.
                 if name[5:] in self._features.get(name[:5], ()):
                     self._rates[name[:5]].add(read(data, offset).stamp, arrival)
-                elif name.startswith("person_") and name[7:] in self._ids:
+                elif name.startswith("person_") and (name[7:] in self._known or name[7:] in self._ids):
                     transform = read(data, offset)
-                    self._frames[name[7:]] = (transform, 1e3 * (now - transform.stamp))
+                    self._frames[name[7:]] = (transform, 1e3 * (now - transform.stamp), arrival)

@@ -13,8 +13,9 @@ import genpy
 import rospy
 
 from hri_msgs.msg import IdsList
-from hri_person_manager.core.features import FeaturePose, FeatureTf, Kind
+from hri_person_manager.core.features import FeaturePose, FeatureTf, Kind, PlaceSource
 from hri_person_manager.core.location import Place
+from hri_pipeline.core.frames import is_optical
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.rospy_compat import release, sender_of
 from hri_pipeline.ros.tf import Frames, RobotTf, TfSubscriber
@@ -25,6 +26,13 @@ LAG_S = 0.25        # for which places wait for the transforms of a camera that 
 GRACE_S = 2.0       # wall time in which the transforms may still be on their way when everything starts
 _REMEMBERED_SENSORS = 50
 _MISSED_S = 10.0    # wall time after which a sensor that nothing comes of is no longer told
+ALONG = 0.7         # cosine of an angle up to which a direction is along an axis
+LEAST_VOTES, MOST_VOTES = 5, 20     # faces and bodies that tell that the reference frame is a camera's
+CAMERA_IS_REFERENCE = (
+    "the reference frame {} has the axes of a camera: people's heads point along its -y, and z is where the camera "
+    "looks. Distances on the floor are taken so here, but other programs take z for up. Set /humans/reference_frame to "
+    "a level frame, for example map, odom or base_link; or publish the turn to the camera's optical frame with the "
+    "transform")
 _PERSONS = "/humans/persons/tracked"
 _PLAYER = re.compile(r"/play_[0-9]{9,}")     # the name that rosbag gives itself
 
@@ -169,6 +177,7 @@ class ReferenceFrame:
         self._tf_input = tf_input
         self._missing: Dict[str, Tuple[float, float]] = {}      # sensor: since when, and when it was missed last
         self._warned: Set[str] = set()
+        self._camera_votes, self._is_camera, self._camera_told = 0, False, False
         self._last: Tuple[str, genpy.Time, Optional[Pose]] = ("", genpy.Time(), None)
 
     @property
@@ -195,9 +204,33 @@ class ReferenceFrame:
             else:
                 self._missing.pop(pose.sensor, None)
         if sensor is None:
-            return Place(pose.sensor, pose.pose, stamp.to_sec(), stamp)
-        return Place(self._frame, sensor.compose(pose.pose), stamp.to_sec(), stamp, sensor.translation,
-                     camera=sensor)
+            # Faces and bodies come in the optical frame of their camera, whatever it is called.
+            return Place(pose.sensor, pose.pose, stamp.to_sec(), stamp, of_camera=pose.source != PlaceSource.VOICE)
+        found = sensor.compose(pose.pose)
+        if pose.source != PlaceSource.VOICE:
+            self._see_axes(sensor, found)
+        return Place(self._frame, found, stamp.to_sec(), stamp, sensor.translation, camera=sensor,
+                     of_camera=self._is_camera)
+
+    @property
+    def problem(self) -> str:
+        """What is wrong with the reference frame itself, and what to do; empty where nothing is."""
+        return CAMERA_IS_REFERENCE.format(self._frame) if self._is_camera else ""
+
+    def _see_axes(self, sensor: Pose, human: Pose) -> None:
+        """Notice a reference frame that has the axes of a camera although its name does not say so: heads point along
+        -y, and z points to where the camera looks."""
+        up = human.rotation[:, 2]
+        if is_optical(self._frame):
+            return
+        if up[2] > ALONG:
+            self._camera_votes = max(-MOST_VOTES, self._camera_votes - 1)
+        elif -up[1] > ALONG and min(sensor.rotation[1, 1], sensor.rotation[2, 2]) > ALONG:
+            self._camera_votes = min(MOST_VOTES, self._camera_votes + 1)
+        self._is_camera = self._camera_votes >= (1 if self._is_camera else LEAST_VOTES)
+        if self._is_camera and not self._camera_told:
+            self._camera_told = True
+            rospy.logwarn("%s", self.problem)
 
     def _miss(self, sensor: str) -> None:
         now = time.monotonic()

@@ -136,11 +136,12 @@ class ManagerDiagnostics:
                               if refused else "all accepted", counts)
 
     def _location(self) -> None:
-        unconnected = sorted(self._reference.unconnected)
-        self._diagnostics.set(
-            "location", WARN if unconnected else OK,
-            "no transform from %s to %s, see /humans/reference_frame" % (", ".join(unconnected), self._reference.frame)
-            if unconnected else "persons are placed in %s" % self._reference.frame, self._tf_input.status())
+        unconnected, text = sorted(self._reference.unconnected), self._reference.problem
+        if unconnected:
+            text = "no transform from %s to %s, see /humans/reference_frame" % (", ".join(unconnected),
+                                                                                self._reference.frame)
+        self._diagnostics.set("location", WARN if text else OK,
+                              text or "persons are placed in %s" % self._reference.frame, self._tf_input.status())
 
 
 _MAX_SENDERS = 100
@@ -378,7 +379,7 @@ class PersonManagerNode:
                 person_id = self._manager.on_place(pose.source, pose.id, place, now, pose.sensor)
                 if person_id is not None:
                     place = self._manager.place(person_id)
-                    self._spaces.note_sensor(person_id, pose.sensor, pose.source)
+                    self._spaces.note_sensor(person_id, pose.sensor)
                     moved[person_id] = transform_to_msg(place.pose, stamp, place.frame, "person_" + person_id)
                     self._topics.publish_position(person_id, place, stamp)
             self._tf.send(list(moved.values()))
@@ -424,7 +425,7 @@ class PersonManagerNode:
     def _go_back(self, now: float) -> None:
         """Begin anew at `now` (s), before which time was already: a bag that loops, or a simulation."""
         rospy.logwarn_throttle(_LOG_PERIOD_S, "%s: places start anew, persons stay", clock_went_back(
-            self._last_now - now))
+            self._last_now - now, not rospy.rostime.is_wallclock()))
         self._jumps += 1
         self._sensed = genpy.Time()
         self._stamps.clear()

@@ -19,7 +19,6 @@ from std_msgs.msg import Bool, Float32, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from hri_msgs.msg import AgeAndGender
-from hri_person_manager.core.features import PlaceSource
 from hri_person_manager.core.location import Place, Proxemics, Space, horizontal_distance
 from hri_person_manager.core.parameters import PersonManagerSettings
 from hri_person_manager.core.persons import PersonState, Snapshot
@@ -270,7 +269,7 @@ class PersonSpaces:
         self._reference = settings.reference_frame
         self._tf_input = tf_input
         self._proxemics = Proxemics(settings.personal_distance, settings.social_distance)
-        self._sensors: Dict[str, Tuple[str, bool]] = {}      # frame, and whether it is a camera's
+        self._sensors: Dict[str, str] = {}
         self._poses: Dict[Tuple[str, str], Optional[Pose]] = {}
         self._lists = {space: TrackedList("{}/{}".format(NAMESPACE, space.value)) for space in Space}
 
@@ -278,9 +277,9 @@ class PersonSpaces:
         """Take up the borders. ValueError when they are in the wrong order; then nothing has changed."""
         self._proxemics.set_borders(settings.personal_distance, settings.social_distance)
 
-    def note_sensor(self, person_id: str, sensor: str, source: PlaceSource) -> None:
-        """Note which sensor frame has placed a person, by which feature."""
-        self._sensors[person_id] = (sensor, source != PlaceSource.VOICE)
+    def note_sensor(self, person_id: str, sensor: str) -> None:
+        """Note which sensor frame has placed a person."""
+        self._sensors[person_id] = sensor
 
     def update(self, snapshot: Snapshot, stamp: genpy.Time) -> None:
         """Sort all persons whose place is known, and publish the lists that changed."""
@@ -304,24 +303,23 @@ class PersonSpaces:
 
     def _distance(self, person_id: str, place: Place) -> Optional[float]:
         """Horizontal distance (m) of a person from the robot, else from the sensor; None when nothing leads there."""
-        sensor, is_camera = self._sensors.get(person_id, (place.frame, False))
-        level = self._level(place.frame)
+        sensor = self._sensors.get(person_id, place.frame)
+        level = self._level(place)
         shift, origin = self._pose(level, place.frame), self._pose(level, self._robot_frame or sensor)
         if shift is None or origin is None:
             return None
-        # Faces and bodies come in the optical frame of their camera, whatever it is called.
-        optical = is_camera and level == sensor and level not in (self._reference, self._robot_frame)
-        moved = replace(place, frame=level, pose=shift.compose(place.pose))
-        return horizontal_distance(moved, origin.translation, optical)
+        moved = replace(place, frame=level, pose=shift.compose(place.pose), of_camera=place.of_camera and
+                        level == place.frame)
+        return horizontal_distance(moved, origin.translation)
 
-    def _level(self, frame: str) -> str:
-        """Choose the frame that tells what is horizontal for a place in `frame`.
+    def _level(self, place: Place) -> str:
+        """Choose the frame that tells what is horizontal for a place.
 
         The reference frame, or that of the robot, with z up. An optical frame may be tilted: only for want of others.
         """
-        if frame == self._reference and not is_optical(frame):
+        frame, robot = place.frame, self._robot_frame
+        if frame == self._reference and not place.is_optical:
             return frame
-        robot = self._robot_frame
         return robot if robot and not is_optical(robot) and self._pose(robot, frame) is not None else frame
 
     def _pose(self, target: str, frame: str) -> Optional[Pose]:
@@ -354,10 +352,11 @@ class PersonMarkers:
         if not self._publisher.get_num_connections():
             return
         markers: List[Marker] = []
-        shown = [(number, state, state.place) for number, state in enumerate(snapshot.persons)
-                 if state.place is not None and state.confidence > 0.0]
+        placed = [(number, state, state.place_now) for number, state in enumerate(snapshot.persons)
+                  if state.confidence > 0.0]
+        shown = [(number, state, place) for number, state, place in placed if place is not None]
         # y of an optical frame points down. All places are mostly in one frame.
-        ups = [np.array([0.0, -1.0, 0.0] if is_optical(place.frame) else [0.0, 0.0, 1.0]) for _, _, place in shown]
+        ups = [np.array([0.0, -1.0, 0.0] if place.is_optical else [0.0, 0.0, 1.0]) for _, _, place in shown]
         lifts = label_lifts([place.pose.translation for _, _, place in shown], ups[0] if ups else (0.0, 0.0, 1.0),
                             [LETTER_WIDTH * len(_label(state.id)) for _, state, _ in shown], 1.15 * TEXT_HEIGHT)
         for (number, state, place), up, lift in zip(shown, ups, lifts):
@@ -383,7 +382,7 @@ def _ellipse(number: int, place: Place) -> List[Marker]:
         return []
     major, minor, turn = ellipse(covariance)
     # The disc lies in x and y, in x and z of an optical frame; it is turned within its plane.
-    rotation = Rotation.from_euler("XZ", [0.5 * math.pi if is_optical(place.frame) else 0.0, turn]).as_quat()
+    rotation = Rotation.from_euler("XZ", [0.5 * math.pi if place.is_optical else 0.0, turn]).as_quat()
     marker = make_marker(Header(frame_id=place.frame), "uncertainty", number, Marker.CYLINDER,
                          (2.0 * major, 2.0 * minor, THICKNESS), COLOUR, 0.15, place.pose.translation, LIFETIME_S)
     marker.pose.orientation = Quaternion(*rotation.tolist())

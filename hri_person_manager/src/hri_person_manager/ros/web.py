@@ -14,6 +14,7 @@ import secrets
 import socket
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Awaitable, Callable, Dict, List, Optional, Set, Tuple
 
@@ -29,6 +30,7 @@ from tornado.web import Application, HTTPError, RequestHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from hri_person_manager.core.display import CameraStatus
+from hri_person_manager.core.triangulation import aged, aged_upright
 from hri_person_manager.core.web import (
     ACTION_HEADER,
     CONTENT_POLICY,
@@ -64,6 +66,7 @@ STATE_PERIOD_S = 0.2
 PICTURE_SILENCE_S = 3.0     # without a picture for so long the page says so
 PRIVACY_S = 2.0             # in which all nodes have sent what they have latched
 ANSWER_S = 20.0             # most time for an action
+LONGEST_AGE_S = 1.0         # of a place: those of who is not seen come ten times a second
 MAX_ACTIONS = 8             # at a time
 _PING_S = 10.0
 _MAX_REQUEST = 65536        # bytes
@@ -142,7 +145,7 @@ class PeopleView:
         people = [self._person(person) for person in self._humans.persons.values() if not person.alias]
         frame = next((person.frame for person in people if person.frame), "")
         return page_state(people, [group.members for group in self._humans.groups], self._place_of_robot(frame),
-                          self._camera())
+                          self._camera(), self._pictures.frame)
 
     def rest(self) -> None:
         """Nobody looks: let go of what costs something. Idempotent."""
@@ -163,13 +166,17 @@ class PeopleView:
         voice, body = person.voice, person.body
         posture = body.posture if body is not None else None
         level, confidence, location = person.engagement, person.location_confidence, person.location
-        there = confidence > 0.0 and location is not None
+        place = None
+        if confidence > 0.0 and location is not None:
+            grow = aged if is_optical(location.frame) or location.frame == self._pictures.frame else aged_upright
+            # Of a paused bag no place comes, but nobody walks either.
+            place = replace(location, covariance=grow(location.covariance, min(person.location_age, LONGEST_AGE_S)))
         return PersonOnPage(
             person.id, person.name, person.anonymous, time.monotonic() - self._came.get(person.id, time.monotonic()),
             "" if level == Engagement.UNKNOWN else level.name.lower(),
             voice.is_speaking if voice is not None else None,
             "" if posture in (None, Posture.OTHER) else posture.name.lower(), person.looks_at, confidence,
-            location.frame if there else "", location.pose if there else None, location.covariance if there else None,
+            *(place.frame, place.pose, place.covariance) if place is not None else ("", None, None),
             person.face is not None, body is not None)
 
     def _place_of_robot(self, frame: str) -> Optional[Tuple[str, Pose, bool]]:
@@ -178,7 +185,7 @@ class PeopleView:
         if not robot or not frame or self._robot is None:
             return None
         pose = self._robot.between(frame, robot, rospy.Time())
-        return None if pose is None else (frame, pose, is_optical(robot))
+        return None if pose is None else (frame, pose, is_optical(robot) or robot == self._pictures.frame)
 
     def _camera(self) -> str:
         """Return why there is no picture, empty while there is one."""

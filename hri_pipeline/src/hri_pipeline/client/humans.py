@@ -280,8 +280,14 @@ class Person(Human):
 
     @property
     def location(self) -> Optional[Location]:
-        """Where this person is, with its covariance; while seen or heard, it is new with each image or sound."""
+        """Where this person is, with its covariance at its stamp; while seen or heard, it is new with each image or
+        sound."""
         return self._get("position")
+
+    @property
+    def location_age(self) -> float:
+        """Seconds (of the wall clock) since `location` came; infinite while none has come."""
+        return self._topics["position"].age
 
     @property
     def demographics(self) -> Optional[Demographics]:

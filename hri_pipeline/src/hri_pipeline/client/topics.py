@@ -29,7 +29,8 @@ from hri_msgs.msg import Gesture as GestureMessage
 from hri_pipeline.core.frames import HumanTf, composed, read
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.conversions import image_to_bgr, landmarks_from_msg, skeleton_from_msg
-from hri_pipeline.ros.rospy_compat import AnyMessage, message_of, release
+from hri_pipeline.ros.rospy_compat import release
+from hri_pipeline.ros.tcpros import AnyMessage, message_of
 from hri_pipeline.ros.tf import Frames, RobotTfListener, TfSubscriber
 
 Convert = Callable[[Any], Any]
@@ -311,6 +312,9 @@ def groups(message: genpy.Message) -> List[GroupOfPersons]:
 
 
 _MAX_TARGETS = 20
+_GAZE_S = 0.15
+"""A gaze whose stamp is so far (s) from that of its face is not known: the eyes have closed since, or time has jumped
+back."""
 
 
 class HumanPoses:
@@ -337,7 +341,7 @@ class HumanPoses:
             self._follow(kind, identity)
             chain = self._tf.chain("{}_{}".format(kind, identity))
             robot = self._robot(target) if target else None
-        if not chain:
+        if not chain or (kind == "gaze" and abs(chain[-1].stamp - chain[0].stamp) > _GAZE_S):
             return None
         pose, link = composed(chain), chain[-1].transform
         if robot is None or link.parent == target:

@@ -391,6 +391,15 @@ _STAYED, _STAYED_BY = 0.62, 6.0
 before a wall leave .67 and more of it, even at 2 Hz; cuts between photographs and between films .20, one pair .57."""
 
 
+BLANK_DEVIATION = 6.0
+"""Standard deviation of the pixels (0 to 255) below which a picture shows nothing: a covered lens, no light."""
+
+
+def shows_nothing(bgr: np.ndarray) -> bool:
+    """Tell whether all pixels of a picture (H, W, 3) uint8 are alike: black, white, or of one colour."""
+    return _deviation(np.ascontiguousarray(bgr[::8, ::8].mean(axis=2, dtype=np.float32))) < BLANK_DEVIATION
+
+
 class PictureCuts:
     """Tells when most of the picture changes from one image to the next, and not by a motion of the camera, by light,
     or by people who walk before the same background.

@@ -171,6 +171,9 @@ class OnnxModel:
     shapes : sequence of tuple of int
         Of the only input, where its other lengths are free, too: a GPU prepares itself for them when the model loads,
         for others when they come.
+    most_on_cpu : int
+        Items that the CPU works on at once, where more gain nothing; 0: all of a batch. (onnxruntime keeps the memory
+        that the largest batch took.)
     few_on_cpu : bool
         Small batches run on the CPU where there is a GPU, as long as its one thread is as fast: measured when the
         model loads.
@@ -192,8 +195,10 @@ class OnnxModel:
         batch_sizes: Sequence[int] = BATCH_SIZES,
         shapes: Sequence[Tuple[int, ...]] = (),
         few_on_cpu: bool = False,
+        most_on_cpu: int = 0,
     ) -> None:
         self._path = Path(path)
+        self._most_on_cpu = most_on_cpu
         self.name = self._path.stem
         self._all_threads, self._sizes = threads, tuple(batch_sizes)
         self._notify = notify or (lambda text: None)
@@ -294,6 +299,8 @@ class OnnxModel:
         """Run on the provider; where it fails, and the CPU does not, on the CPU from now on."""
         provider = self.provider
         try:
+            if provider == "cpu":
+                return self._run_on_cpu(feed, wanted)
             return self._run_batched(feed, wanted) if self._batched else self._session_of(feed).run(wanted, feed)
         except Exception as error:
             if provider == "cpu":
@@ -303,6 +310,14 @@ class OnnxModel:
             self._lost += [self._session, self._batched, self._shaped]
             self._give_up("{}: {} has failed ({})".format(self._path.name, provider, first_line(error)))
             return values
+
+    def _run_on_cpu(self, feed: Dict[str, np.ndarray], wanted: List[str]) -> List[np.ndarray]:
+        count, most = len(next(iter(feed.values()))), self._most_on_cpu
+        if not 0 < most < count:
+            return list(self._session.run(wanted, feed))
+        parts = [self._session.run(wanted, {name: value[start:start + most] for name, value in feed.items()})
+                 for start in range(0, count, most)]
+        return [np.concatenate(values) for values in zip(*parts)]
 
     def _use(self, session: onnxruntime.InferenceSession) -> None:
         """Run on this session from now on."""

@@ -161,7 +161,7 @@ class CenterNetDetector:
         if long_side < _STEP:
             raise ValueError("long_side is {} px, legal range {} and more".format(long_side, _STEP))
         self._model = OnnxModel(path, providers, inputs=("images",), outputs=("heat", "ltrb"), notify=notify,
-                                threads=threads, shapes=_shapes(long_side))
+                                threads=threads, shapes=_shapes(long_side), most_on_cpu=1)
         self.threads = threads
         self.threshold = threshold
         self._long_side = long_side

@@ -27,6 +27,8 @@ share what there is. The same both ways, as others use a little more and less al
 once, and took it slowly, had less than its share on average."""
 _SCARCE = 0.5
 """Part of the time that is to stay idle. When less than that is idle, all that is lacking is given up at once."""
+_LEAST_IDLE = 0.05
+"""Part of the time that is to stay idle whatever the share: where none is, nobody can be seen to need it."""
 _COST_MEMORY = 0.9
 """Weight of the old estimate of the cost of one inference when a new one is measured."""
 _NEARLY_DUE = 0.55
@@ -65,7 +67,8 @@ class IdleShare:
 
     def __init__(self, share: float, idle: Optional[Callable[[], Sequence[CoreTime]]] = None,
                  clock: Callable[[], float] = time.monotonic) -> None:
-        """share: 0 (nothing beyond the least budget) to 1, of the time of all cores, for all processes together.
+        """share: 0 (nothing beyond the least budget) to 1, of the time of all cores, for all processes together; from
+        0.95 on it is 0.95.
 
         idle: by default Cores.times of this process; clock: s. Raises ValueError for another share.
         """
@@ -104,7 +107,7 @@ class IdleShare:
             return 0.0
         changes = []
         for old, new in zip(before, after):
-            idle, kept = (new.idle - old.idle) / seconds, (1.0 - self._share) * new.cores
+            idle, kept = (new.idle - old.idle) / seconds, max(1.0 - self._share, _LEAST_IDLE) * new.cores
             changes.append((_GAIN if idle > _SCARCE * kept else 1.0) * (idle - kept))
         return min(changes)
 

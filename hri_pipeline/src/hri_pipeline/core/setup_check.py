@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Callable, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
-from hri_pipeline.core.images import ASPECT_TOLERANCE, ENCODINGS, other_transport
+from hri_pipeline.core.images import ASPECT_TOLERANCE, BLANK_DEVIATION, ENCODINGS, other_transport
 from hri_pipeline.core.parameters import ParameterTable, Settings, parameter
 from hri_pipeline.core.timing import clock_fault
 
@@ -113,8 +113,8 @@ class CheckSettings(Settings):
     min_brightness: float = parameter(
         25.0, "Mean of the pixels (0 to 255) below which a picture is too dark.", minimum=0.0, maximum=255.0)
     min_contrast: float = parameter(
-        6.0, "Standard deviation of the pixels (0 to 255) below which a picture shows nothing: a covered lens, or a "
-        "test picture of one colour.", minimum=0.0, maximum=128.0)
+        BLANK_DEVIATION, "Standard deviation of the pixels (0 to 255) below which a picture shows nothing: a covered "
+        "lens, or a test picture of one colour.", minimum=0.0, maximum=128.0)
 
 
 CHECK_PARAMETERS = ParameterTable("check", CheckSettings)

@@ -219,8 +219,14 @@ def clock_fault(age: float, now: float, wall: float, simulated: bool) -> Tuple[s
         "of a device: set its clock")
 
 
-def clock_went_back(seconds: float) -> str:
-    """Return what to say where the time of ROS has gone back by so much (s), with the remedy where it does so again."""
+def clock_went_back(seconds: float, simulated: bool) -> str:
+    """Return what to say where the time of ROS has gone back by so much (s), with the remedy where it does so again.
+
+    simulated : whether it is that of /clock (/use_sim_time).
+    """
+    if not simulated:
+        return ("the clock of this machine was set back by {:.1f} s (where this goes on, let one program only set it, "
+                "such as chrony)".format(seconds))
     return ("/clock went back by {:.1f} s (a bag that loops? Where this goes on, let one program only publish /clock; "
             "check.launch names them)".format(seconds))
 

@@ -224,7 +224,8 @@ class InteractionsNode:
         if back or jumps != self._jumps:
             self._jumps = jumps
             rospy.logwarn_throttle(_LOG_PERIOD_S, "%s: gazes, groups and engagement start anew",
-                                   clock_went_back(seconds) if back else "the stamps of people went back")
+                                   clock_went_back(seconds, not rospy.rostime.is_wallclock()) if back
+                                   else "the stamps of people went back")
             self._last = _NEVER
             self._forget()
 

@@ -104,8 +104,8 @@ class SceneSimulatorNode:
             self._fixed.publish(TFMessage(transforms=self._robot_frames()))
         base = time.time() if self._clock is not None else self._first_time()
         self._wait_for_listener(base)
-        rospy.loginfo("%s: %s, %g s, %d people in all", rospy.get_name(), self._scene.name, self._scene.duration,
-                      len(self._scene.people))
+        rospy.loginfo("%s: %s, %g s, %d people in all; only who is in the camera's view, or heard, is published",
+                      rospy.get_name(), self._scene.name, self._scene.duration, len(self._scene.people))
         base = base if self._clock is not None else self._first_time()
         while not self._stop.is_set():
             in_time = self._play(base, self._scene.duration, True)
@@ -182,7 +182,7 @@ class SceneSimulatorNode:
         if self._truth is not None:
             self._truth.publish(truth, sensed.visible, stamp)
         self._cycles += 1
-        self._report(truth)
+        self._report(truth, len(sensed.visible))
 
     def _empty(self, now: float) -> None:
         """The scene is over: everybody leaves."""
@@ -195,21 +195,21 @@ class SceneSimulatorNode:
         self._matches.reset()
         self._senses.reset()
 
-    def _report(self, truth: SceneTruth) -> None:
+    def _report(self, truth: SceneTruth, in_view: int) -> None:
         passed = time.monotonic() - self._reported
         if passed < _REPORT_S:
             return
         speed = self._cycles / self._settings.rate / passed
         self._reported, self._cycles = time.monotonic(), 0
         slow = speed < _SLOW * self._settings.speed
-        text = "{}: {} people at {:.0f} s".format(self._scene.name, len(truth.people), truth.stamp)
+        text = "{}: {} people at {:.0f} s, {} in view".format(self._scene.name, len(truth.people), truth.stamp, in_view)
         if slow:
             text += "; {:.1f} times real time instead of {:g}: lower ~rate or ~speed".format(
                 speed, self._settings.speed
             )
         self._diagnostics.set("scene", WARN if slow else OK, text, {
-            "people": len(truth.people), "groups": len(truth.groups), "time_s": truth.stamp, "speed": speed,
-            "transforms_dropped": self._transforms.dropped})
+            "people": len(truth.people), "in_view": in_view, "groups": len(truth.groups), "time_s": truth.stamp,
+            "speed": speed, "transforms_dropped": self._transforms.dropped})
 
     def _robot_frames(self) -> list:
         settings, robot = self._settings, self._scene.robot

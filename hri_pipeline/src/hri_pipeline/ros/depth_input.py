@@ -14,8 +14,9 @@ from sensor_msgs.msg import Image
 from hri_pipeline.core.error_log import Outage
 from hri_pipeline.core.images import ASPECT_TOLERANCE, DEPTH_RANGE, ImageError, depth_from_raw
 from hri_pipeline.ros.diagnostics import OK, WARN, Status
-from hri_pipeline.ros.rospy_compat import ReceivedImage, receive_without_copies, release
+from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.sensor_input import CALM_S, CarriedType
+from hri_pipeline.ros.tcpros import ReceivedImage, receive_without_copies
 
 DEPTH_SILENCE_S = 5.0
 """Time (s) without a depth image for any colour image after which the status says so."""

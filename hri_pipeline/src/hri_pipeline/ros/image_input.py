@@ -18,14 +18,22 @@ from std_msgs.msg import Header
 from hri_pipeline.core.camera import Calibration, CameraError, CameraModel
 from hri_pipeline.core.faces.parameters import DepthCameraSettings
 from hri_pipeline.core.image_rotation import ImageRotation
-from hri_pipeline.core.images import ASPECT_TOLERANCE, GreyBits, ImageError, is_rectified, other_transport
+from hri_pipeline.core.images import (
+    ASPECT_TOLERANCE,
+    GreyBits,
+    ImageError,
+    is_rectified,
+    other_transport,
+    shows_nothing,
+)
 from hri_pipeline.core.timing import clock_fault
 from hri_pipeline.ros.conversions import camera_from_info, compressed_to_bgr, image_to_bgr
 from hri_pipeline.ros.depth_input import DepthInput
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, Status
 from hri_pipeline.ros.master import IMAGE_TYPES, is_published
-from hri_pipeline.ros.rospy_compat import ReceivedImage, receive_without_copies, release, sender_of
+from hri_pipeline.ros.rospy_compat import release, sender_of
 from hri_pipeline.ros.sensor_input import LOG_PERIOD_S, SensorInput
+from hri_pipeline.ros.tcpros import ReceivedImage, receive_without_copies
 
 # Larger than an image: with rospy's 64 kB, images pile up in the socket while the worker is busy.
 BUFFER_BYTES = 2 ** 24
@@ -44,6 +52,9 @@ SENDER_S = 1.0
 _SETTLED_S = 2.0
 # Longer than JUMP_S: images that only came late, and a stamp that went back a little, pass.
 _STANDSTILL_S = 2.0
+# How often it is looked whether images show anything, and how often they have shown nothing before it is told.
+_BLANK_PERIOD_S = 1.0
+_MOST_BLANK = 2
 _CAMERA_LOG_PERIOD_S = 30.0
 _MOST_INFOS = 8
 
@@ -147,7 +158,8 @@ class ImageInput(SensorInput):
         self._age = 0.0
         self.counts: Dict[str, int] = {"received": 0, "taken": 0, "unreadable": 0, "late": 0, "time_jumps": 0,
                                        "forward_jumps": 0, "size_changes": 0}
-        self._asked = float("-inf")
+        self._asked = self._compared = float("-inf")
+        self._blank = 0     # comparisons on end in which the image showed nothing
         self._camera = CameraInfoInput(fallback_hfov, fov_parameter, is_rectified(self.topic))
         receive_without_copies()
         self._subscribers = [rospy.Subscriber(name, kind, self._store, queue_size=1, buff_size=buffer_bytes)]
@@ -184,7 +196,8 @@ class ImageInput(SensorInput):
             return ERROR, silent, values
         level, text = self._problem
         if level == OK:
-            text = self._other_sender() or self._change_problem() or self._camera.problem[1] or self._clock_problem
+            text = (self._other_sender() or self._change_problem() or self._blank_problem() or self._camera.problem[1]
+                    or self._clock_problem)
             level = WARN if text else OK
         if self._depth is not None:
             depth_level, depth_text, depth_values = self._depth.status()
@@ -253,6 +266,9 @@ class ImageInput(SensorInput):
             self._senders.was_read(sender_of(message), True, time.monotonic())
         self._problem = (OK, "")
         self._compare_size((bgr.shape[1], bgr.shape[0]))
+        if self._came[0] >= self._compared + _BLANK_PERIOD_S:
+            self._compared = self._came[0]
+            self._blank = self._blank + 1 if shows_nothing(bgr) else 0
         camera = self._camera.model(bgr.shape[1], bgr.shape[0], sender_of(message), header.frame_id)
         self._last_stamp = stamp = header.stamp.to_sec()
         self._taken_at = self._came
@@ -261,6 +277,12 @@ class ImageInput(SensorInput):
         if self._depth is not None:
             depth = self._depth.match(stamp, bgr.shape[1], bgr.shape[0], header.frame_id)
         return Frame(bgr, camera, stamp, header, depth, partial(self._has_gone_back, stamp, self._came[1]))
+
+    def _blank_problem(self) -> str:
+        if self._blank < _MOST_BLANK:
+            return ""
+        return ("{}: the picture shows nothing (all pixels are alike): take the cap or what covers the lens away, "
+                "switch the light on; see it with: rqt_image_view {}".format(self.topic, self.topic))
 
     def _has_gone_back(self, stamp: float, came: float) -> bool:
         """Tell whether the time has gone back since an image of `stamp` (s) came at `came` (s, ROS time)."""
@@ -288,9 +310,9 @@ class ImageInput(SensorInput):
         if self._jumps_back(header):
             self.counts["time_jumps"] += 1
             self._lags = lags
-            rospy.logwarn_throttle(LOG_PERIOD_S, "%s: stamps have gone back by %.1f s (a bag that loops?); tracks "
-                                   "start anew. Where this goes on, let one program only stamp these images",
-                                   self.topic, -step)
+            rospy.logwarn_throttle(LOG_PERIOD_S, "%s: stamps have gone back by %.1f s (a bag that loops, or a clock "
+                                   "that was set?); tracks start anew. Where this goes on, let one program only stamp "
+                                   "these images", self.topic, -step)
             self._last_stamp = None
             if self._depth is not None:
                 self._depth.reset()

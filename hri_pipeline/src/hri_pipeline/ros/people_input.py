@@ -270,6 +270,7 @@ class InteractionFrame:
 
     def __init__(self, settings: InteractionSettings, frames: RobotTf) -> None:
         self._reference, self._robot_frame = settings.reference_frame, settings.robot_frame
+        self._is_optical = is_optical(self._reference)
         self._frames = frames
         self._stamp = genpy.Time()
         self._poses: Dict[str, Optional[Pose]] = {}
@@ -283,8 +284,9 @@ class InteractionFrame:
 
     @property
     def is_level(self) -> bool:
-        """Tell whether people are compared in LEVEL of the optical frame `name`, for want of the reference frame."""
-        return self.name != self._reference
+        """Tell whether people are compared in LEVEL of the optical frame `name`, for want of a level reference
+        frame."""
+        return self._is_optical or self.name != self._reference
 
     @property
     def unconnected(self) -> Set[str]:
@@ -301,7 +303,8 @@ class InteractionFrame:
         poses = {sensor: self._lookup(sensor) for sensor in sensors}
         found = {sensor: pose for sensor, pose in poses.items() if pose is not None}
         self._note([sensor for sensor, pose in poses.items() if pose is None])
-        self._choose(Counter({sensor: count for sensor, count in sensors.items() if sensor != self._reference}))
+        self._choose(Counter({sensor: count for sensor, count in sensors.items()
+                              if self._is_optical or sensor != self._reference}))
         if found or not sensors:
             self.name = self._reference
         else:
@@ -319,7 +322,8 @@ class InteractionFrame:
     def _lookup(self, frame: str) -> Optional[Pose]:
         """Look a frame up, once in a cycle: the robot often looks from where its camera is."""
         if frame not in self._poses:
-            self._poses[frame] = self._frames.lookup(frame, self._stamp)
+            pose = self._frames.lookup(frame, self._stamp)
+            self._poses[frame] = LEVEL.compose(pose) if self._is_optical and pose is not None else pose
         return self._poses[frame]
 
     def _choose(self, sensors: Counter[str]) -> None:
@@ -329,12 +333,13 @@ class InteractionFrame:
 
     def _find_robot(self, poses: Dict[str, Pose]) -> None:
         pose, source = None, self._robot_frame
-        if source and not self.is_level:
+        is_reference = self.name == self._reference
+        if source and is_reference:
             pose = self._lookup(source)
         if pose is None:
             self._warn_of_robot()
             source = self.sensor
-            pose = poses.get(source) or (self._lookup(source) if source and not self.is_level else None)
+            pose = poses.get(source) or (self._lookup(source) if source and is_reference else None)
         if pose is None:
             self.robot, self.robot_source = None, "unknown"
             return

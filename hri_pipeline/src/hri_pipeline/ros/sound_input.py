@@ -205,7 +205,7 @@ class SoundInput(SensorInput):
             if self._last is not None and chunk.arrival < self._last - JUMP_S:
                 self.counts["time_jumps"] += 1
                 rospy.logwarn_throttle(LOG_PERIOD_S, "%s: voices start anew", clock_went_back(
-                    self._last - chunk.arrival))
+                    self._last - chunk.arrival, not rospy.rostime.is_wallclock()))
                 self._restart(None)
             self._last = chunk.arrival
             form = self._format()

@@ -17,7 +17,8 @@ from tf2_msgs.msg import TFMessage
 from hri_pipeline.core.frames import FrameHistory, RawTransform, check_stamp, is_of_human, is_stamp, read, scan
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.timing import ALL_STALE_S, JUMP_BACK_S
-from hri_pipeline.ros.rospy_compat import AnyMessage, bytes_of, release
+from hri_pipeline.ros.rospy_compat import release
+from hri_pipeline.ros.tcpros import AnyMessage, bytes_of
 
 _LOG_PERIOD_S = 10.0
 

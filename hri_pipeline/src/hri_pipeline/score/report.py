@@ -262,9 +262,8 @@ def _gaze_cell(share: float) -> str:
 
 
 def _texts(record: Record) -> str:
-    lines = ["<li>{}:{:04.1f} {}: {}</li>".format(int(span.begin - record.begin) // 60,
-                                                  (span.begin - record.begin) % 60.0, _shown(record, span.row),
-                                                  html.escape(span.text))
+    lines = ["<li>{:.0f}:{:04.1f} {}: {}</li>".format(*divmod(round(span.begin - record.begin, 1), 60.0),
+                                                      _shown(record, span.row), html.escape(span.text))
              for span in _by_speaker(record) if span.text]
     return "<ul>{}</ul>".format("".join(lines)) if lines else ""
 

@@ -8,18 +8,46 @@ ikpy`).
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import io
 import math
+import sys
+from contextlib import contextmanager
 from functools import cached_property
-from typing import Dict, List, Optional, Sequence, Tuple, Union
+from types import ModuleType
+from typing import Dict, Iterator, List, Optional, Sequence, Tuple, Union
 
 import numpy as np
-from ikpy import inverse_kinematics as ikpy_optimisation
-from ikpy.chain import Chain
 
 from hri_fullbody.core.kinematics.forward import about_vector
 from hri_fullbody.core.model.human import LEFT_ARM, LEFT_LEG, RIGHT_ARM, RIGHT_LEG, Joint, Layout
+
+
+class _WhenNeeded(ModuleType):
+    """Stands for a module, and loads it when something of it is asked for."""
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(importlib.import_module(self.__name__), name)
+
+
+@contextmanager
+def _without_loading(name: str) -> Iterator[None]:
+    """Let what is imported within the block have `name` only when it uses it."""
+    stand_in = _WhenNeeded(name)
+    is_ours = sys.modules.setdefault(name, stand_in) is stand_in
+    try:
+        yield
+    finally:
+        if is_ours:
+            del sys.modules[name]
+
+
+# It makes symbolic chains only, and takes the processor half a second and more, and 40 MB: images would wait for it
+# when a limb is beyond its limits for the first time.
+with _without_loading("sympy"):
+    from ikpy import inverse_kinematics as ikpy_optimisation
+    from ikpy.chain import Chain
 
 LIMBS = (LEFT_ARM, RIGHT_ARM, LEFT_LEG, RIGHT_LEG)
 _TOLERANCE = 1e-3  # ends the search a millimetre or so short of the optimum, three times as fast

@@ -50,7 +50,7 @@ from hri_fullbody.core.model.human import (
 from hri_fullbody.core.model.urdf import make_urdf
 from hri_pipeline.core.geometry import Pose
 
-if TYPE_CHECKING:  # with ikpy comes sympy, which takes the processor half a second to load
+if TYPE_CHECKING:  # most bodies never need it
     from hri_fullbody.core.kinematics.ikpy_backend import LimbChains
 
 METHODS = ("gauss_newton", "closed_form", "ikpy")

@@ -164,7 +164,7 @@ def _floor_rows(feet: np.ndarray, state: np.ndarray) -> _Rows:
     up = up_of(pitch, roll)
     by_pitch = np.array([0.0, math.cos(roll) * math.sin(pitch), -math.cos(roll) * math.cos(pitch)])
     by_roll = np.array([math.cos(roll), math.sin(roll) * math.cos(pitch), math.sin(roll) * math.sin(pitch)])
-    offsets = (feet - feet.sum(axis=0) / max(len(feet), 1))[:-1]
+    offsets = (feet - feet.sum(axis=0) / len(feet))[:-1]
     gradients = offsets @ np.stack([by_pitch, by_roll], axis=1)
     sds = np.hypot(_SIZE_SD * np.abs(feet[:-1] @ up), 0.05)
     # Linear about the state: the residual that would be 0 at the right angles.

@@ -26,7 +26,8 @@ PROMISING = 0.2
 _FACE_HEAD_SHARE, _FACE_ASIDE = 0.4, 0.25
 _SAME_BOX = 0.5
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 8.0
-_MOST_FAILED = 20
+_NOT_RESTING = (-np.inf, _FIRST_PAUSE)
+_MOST_FAILED, _MOST_RESTING = 20, 100
 # A box that shares less with each other one stands alone; an unsure one that shares more with one is a part of that.
 _APART, _PART = 0.1, 0.6
 # In longer sides of a box: so near, and of so much of its size or the other way round, is somebody who stands beside.
@@ -121,8 +122,7 @@ class CandidateQueue:
     def __init__(self) -> None:
         self._queue: Deque[BodyCandidate] = deque()
         self._failed: Deque[Tuple[np.ndarray, float]] = deque(maxlen=_MOST_FAILED)
-        self._rest_until: Dict[str, float] = {}
-        self._pause: Dict[str, float] = {}
+        self._resting: Dict[str, Tuple[float, float]] = {}      # by face: until when, and its next pause, s
 
     def __len__(self) -> int:
         return len(self._queue)
@@ -132,12 +132,11 @@ class CandidateQueue:
         present = {face.id for face in faces}
         waiting = {candidate.face_id for candidate in self._queue}
         for face in faces:
-            if face.id not in waiting and stamp >= self._rest_until.get(face.id, -np.inf):
+            if face.id not in waiting and stamp >= self._resting.get(face.id, _NOT_RESTING)[0]:
                 self._queue.append(BodyCandidate(face_id=face.id))
         self._queue = deque(item for item in self._queue if item.face_id is None or item.face_id in present)
-        if len(self._pause) > 100:
-            self._pause = {key: value for key, value in self._pause.items() if key in present}
-            self._rest_until = {key: value for key, value in self._rest_until.items() if key in present}
+        if len(self._resting) > _MOST_RESTING:
+            self._resting = {key: value for key, value in self._resting.items() if key in present}
 
     def offer_boxes(self, boxes: Sequence[np.ndarray], faces: Sequence[FaceBox], others: Sequence[np.ndarray],
                     stamp: float, unsure: Sequence[np.ndarray] = ()) -> None:
@@ -182,20 +181,18 @@ class CandidateQueue:
         if box is not None:
             self._failed.append((box, stamp + _LONGEST_PAUSE))
         if face_id is not None:
-            pause = self._pause.get(face_id, _FIRST_PAUSE)
-            self._rest_until[face_id] = stamp + pause
-            self._pause[face_id] = min(2.0 * pause, _LONGEST_PAUSE)
+            _, pause = self._resting.get(face_id, _NOT_RESTING)
+            self._resting[face_id] = stamp + pause, min(2.0 * pause, _LONGEST_PAUSE)
 
     def found(self, face_id: Optional[str]) -> None:
         """Forget the failures of a face that has a body."""
-        self._pause.pop(face_id or "", None)
+        self._resting.pop(face_id or "", None)
 
     def clear(self) -> None:
         """Forget everything."""
         self._queue.clear()
         self._failed.clear()
-        self._rest_until.clear()
-        self._pause.clear()
+        self._resting.clear()
 
 
 class RefusedPlaces:

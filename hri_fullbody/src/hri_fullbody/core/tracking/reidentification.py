@@ -326,7 +326,7 @@ class BodyReidentifier:
                     + _place_evidence(new.born_at, old.now, gap)
                     + _clothes_evidence(clothes, self._alike(old)) + _stature_evidence(new.now, old.now)
                     + self._face_evidence(new, old))
-        return math.exp(min(evidence, 50.0))
+        return math.exp(evidence)
 
     def _alike(self, old: _Body) -> float:
         """Part of the people here, without the lost one, who wear such clothes."""
@@ -375,7 +375,7 @@ def marginals(odds: np.ndarray) -> np.ndarray:
 def _place_evidence(new: Optional[TrackAppearance], old: TrackAppearance, gap: float) -> float:
     """Logarithm of the odds by the places, over the ground: a normal distribution around where he was lost, against the
     same and anywhere."""
-    if new is None or new.place is None or old.place is None or new.still != old.still:
+    if new is None or old.place is None or new.still != old.still:
         return 0.0
     way = float(np.linalg.norm(np.asarray(new.place)[[0, 2]] - np.asarray(old.place)[[0, 2]]))
     error = math.hypot(_NEAR_M, _INEXACT * (float(np.linalg.norm(old.place)) if old.distance is None else old.distance))

@@ -82,17 +82,10 @@ class SoundLevel:
         Number of channels in the stream, with `numbers`.
     is_array : bool
         Channels are microphones of an array, which must differ: copies are a problem.
-
-    Raises
-    ------
-    ValueError
-        When one of them is less than 1.
     """
 
     def __init__(self, rate: int, channels: int, numbers: Optional[Sequence[int]] = None, total: int = 0,
                  is_array: bool = False) -> None:
-        if rate < 1 or channels < 1:
-            raise ValueError("a sound has a rate and a channel, not {} Hz and {}".format(rate, channels))
         self._size = max(1, int(rate * _PIECE_S))
         self._channels = channels
         self._numbers = list(range(channels) if numbers is None else numbers)

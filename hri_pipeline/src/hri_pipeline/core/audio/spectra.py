@@ -32,17 +32,9 @@ class FrameSplitter:
     Parameters
     ----------
     channels : int
-
-    Raises
-    ------
-    ValueError
-        For less than one channel.
     """
 
     def __init__(self, channels: int) -> None:
-        if channels < 1:
-            raise ValueError("sound has at least one channel, not {}".format(channels))
-        self._channels = channels
         self._rest = np.zeros((0, channels), dtype=np.float32)
 
     def reset(self) -> None:

@@ -28,7 +28,7 @@ MAX_CHANNELS = 32
 RATES = (4000, 384000)
 """Lowest and highest sample rate (Hz) that is accepted."""
 
-_OTHER_NAMES = {"S24_3LE": "S24LE", "FLOAT_LE": "F32LE", "FLOAT32LE": "F32LE", "S8": "", "": "S16LE"}
+_OTHER_NAMES = {"S24_3LE": "S24LE", "FLOAT_LE": "F32LE", "FLOAT32LE": "F32LE", "": "S16LE"}
 _CONTAINERS = {b"RIFF": "the head of a WAV file", b"OggS": "Ogg", b"fLaC": "FLAC", b"ID3": "mp3",
                b"\x1aE\xdf\xa3": "Matroska"}
 # MPEG audio, ISO/IEC 11172-3 table: kbit/s of layer III, MPEG 1 and MPEG 2; sample rates of MPEG 1, 2, 2.5.
@@ -204,7 +204,7 @@ _LEAST_STEP_S = 1e-4
 
 
 class SampleClock:
-    """Converts stream time to the time at which sound was heard.
+    """Converts stream time to the time at which sound was heard, on the clock of the arrivals: stream time + offset.
 
     Stream time is the number of samples so far divided by the rate, plus what was skipped (s). A message never arrives
     early: its delay varies and is never negative. The offset between arrival time and stream time is therefore the
@@ -277,10 +277,6 @@ class SampleClock:
             return 0.0
         self._follow(offset, arrival, passed)
         return 0.0
-
-    def time(self, stream: float) -> float:
-        """Return when the sound at stream time `stream` (s) was heard (s, same clock as the arrivals)."""
-        return stream + self.offset
 
     def speed(self) -> float:
         """Return the seconds of sound per second: 1 when the announced rate is true, 0 while it is unknown."""

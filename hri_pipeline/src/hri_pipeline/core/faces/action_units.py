@@ -25,7 +25,7 @@ from typing import Dict, Optional, Sequence, Tuple
 import numpy as np
 
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.faces.head_gestures import HeadGestures
+from hri_pipeline.core.faces.head_gestures import HeadGestures, nod_confidence
 from hri_pipeline.core.faces.mesh import MESH_POINTS, CanonicalFace
 from hri_pipeline.core.geometry import Pose
 
@@ -356,7 +356,8 @@ class ActionUnitEstimator:
         distance = float(np.linalg.norm(place))
         gesture = self._gestures.update(float(angles[0]), float(angles[1]), distance, stamp)
         intensity[HEAD_SHAKE], intensity[HEAD_NOD] = gesture.shake, gesture.nod
-        confidence[[HEAD_SHAKE, HEAD_NOD]] = presence * size
+        confidence[HEAD_SHAKE] = presence * size
+        confidence[HEAD_NOD] = presence * size * nod_confidence(gesture.nod)
         if self._mean_distance is None:
             self._mean_distance = distance
         nearer = self._mean_distance - distance

@@ -56,7 +56,8 @@ class _OnnxAgeGender(ABC):
     def __init__(self, path: Union[str, Path], providers: Sequence[str] = ("cpu",),
                  notify: Optional[Callable[[str], None]] = None) -> None:
         """Raises ModelError that names the file and what it lacks."""
-        self._model = OnnxModel(path, providers, inputs=self.INPUTS, outputs=tuple(self.OUTPUTS), notify=notify)
+        self._model = OnnxModel(path, providers, inputs=self.INPUTS, outputs=tuple(self.OUTPUTS), notify=notify,
+                                most_on_cpu=1)
         trial = self._run(np.zeros((1, self.SIZE, self.SIZE, 3), np.float32))
         for name, size in self.OUTPUTS.items():
             if trial[name].size != size:

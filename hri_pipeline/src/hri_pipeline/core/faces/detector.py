@@ -254,15 +254,16 @@ def _letterbox(bgr: np.ndarray, region: Region, out: np.ndarray) -> Tuple[float,
 
 def load_face_network(configured: str, default: str, outputs: Mapping[str, int], providers: Sequence[str],
                       notify: Optional[Callable[[str], None]], threads: Threads = ONE_THREAD,
-                      batch_sizes: Sequence[int] = BATCH_SIZES, few_on_cpu: bool = False) -> OnnxModel:
+                      batch_sizes: Sequence[int] = BATCH_SIZES, few_on_cpu: bool = False,
+                      most_on_cpu: int = 0) -> OnnxModel:
     """Load the detector or the mesh network, and run it once: this warms it up, and tells a wrong model.
 
-    outputs: numbers in each output for one image. threads, batch_sizes and few_on_cpu: see OnnxModel. Raises ModelError
-    naming the file.
+    outputs: numbers in each output for one image. threads and those behind it: see OnnxModel. Raises ModelError naming
+    the file.
     """
     path = model_path(configured, default)
     model = OnnxModel(path, providers, inputs=("input_1",), outputs=tuple(outputs), notify=notify, threads=threads,
-                      batch_sizes=batch_sizes, few_on_cpu=few_on_cpu)
+                      batch_sizes=batch_sizes, few_on_cpu=few_on_cpu, most_on_cpu=most_on_cpu)
     trial = model.run({"input_1": np.zeros((1, INPUT_SIZE, INPUT_SIZE, 3), np.float32)})
     for name, size in outputs.items():
         if trial[name].size != size:

@@ -111,7 +111,8 @@ class ExpressionModel:
     def __init__(self, path: Union[str, Path], providers: Sequence[str] = ("cpu",),
                  notify: Optional[Callable[[str], None]] = None) -> None:
         """Raises ModelError naming the file when it is missing or another model."""
-        self._model = OnnxModel(path, providers, inputs=("image",), outputs=("expression",), notify=notify)
+        self._model = OnnxModel(path, providers, inputs=("image",), outputs=("expression",), notify=notify,
+                                most_on_cpu=1)
         trial = self._model.run({"image": np.zeros((1, INPUT_SIZE, INPUT_SIZE, 3), np.float32)})["expression"]
         if trial.shape != (1, len(CATEGORIES)):
             raise ModelError("model file {} gives {} instead of {} expressions; it is another model: {}".format(

@@ -39,6 +39,10 @@ UNLIKE, UNEVEN = 0.45, 0.4
 turning point to the last, beyond one swing, in mean swings."""
 IMAGE_S = 0.12
 """Time (s) by which that of a swing may be wrong: the turning points lie in one image or the next."""
+SPEECH_SWING, SPEECH_SPREAD = math.radians(6.1), math.radians(0.83)
+"""Mean swing (rad) of which half of the seeming nods are speech, since the jaw pitches the head, and the spread of its
+logistic distribution: simulated heads, a quarter of which talk (`benchmark interactions --only nods`, heads 0 to 19
+and 500 to 579)."""
 OTHER_AXIS = 0.4
 """Largest swing of the other axis over that of the gesture."""
 LAST_S = 0.35
@@ -131,6 +135,13 @@ class HeadGestures:
         if beside and sum(beside) > OTHER_AXIS * mean * len(gesture):
             return 0.0
         return min(mean / FULL_SWING, 1.0)
+
+
+def nod_confidence(strength: float) -> float:
+    """Return how often a nod of this strength, as of `HeadGesture`, is one: 0 to 1; 1 of none."""
+    if strength <= 0.0:
+        return 1.0
+    return 1.0 / (1.0 + math.exp((SPEECH_SWING - strength * FULL_SWING) / SPEECH_SPREAD))
 
 
 def swings(path: Sequence[Tuple[float, float]], least: float) -> List[Swing]:

@@ -141,8 +141,8 @@ class CameraSettings(Settings):
     cpu_share: float = parameter(
         0.75, "Load of all cores (0 to 1, all processes), and of a container's quota, up to which people get more "
         "inferences than the rates and budgets say: up to every image, who moves, speaks, is near or uncertain before "
-        "others. When others need the processor, it is given back within a second. 0: never.", minimum=0.0, maximum=1.0,
-        live=True)
+        "others. When others need the processor, it is given back within a second or two. 0: never. Above 0.95: 0.95, "
+        "as others are seen to need the processor by the idle time that is left.", minimum=0.0, maximum=1.0, live=True)
     threads: int = parameter(
         0, "Threads of the networks, which share the people of an image. 0: half of `cpu_share` of the cores (at the "
         "start), eight at most, one on two cores. With more, everybody is looked at more often. For a GPU they only "

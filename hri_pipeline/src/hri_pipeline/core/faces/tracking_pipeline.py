@@ -102,9 +102,10 @@ class FaceTrackingPipeline:
                  threads: Threads = ONE_THREAD,
                  person_detector: Optional[Callable[[], PersonDetector]] = None) -> None:
         detector = load_face_network(settings.face_detector_model, "face_detection_full_range.onnx",
-                                     FaceDetector.OUTPUTS, settings.providers, notify, threads, (4,))
+                                     FaceDetector.OUTPUTS, settings.providers, notify, threads, (4,),
+                                     most_on_cpu=1)
         mesh = load_face_network(settings.face_mesh_model, "face_landmarks_attention.onnx", FaceMesh.OUTPUTS,
-                                 settings.providers, notify, threads, (12,), few_on_cpu=True)
+                                 settings.providers, notify, threads, (12,), few_on_cpu=True, most_on_cpu=4)
         self._detector = FaceDetector(detector)
         self._detection_scheduler = DetectionScheduler(settings.face_detection_period, settings.face_detection_tiles)
         self._mesh = FaceMesh(mesh)

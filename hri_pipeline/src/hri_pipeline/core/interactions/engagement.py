@@ -110,8 +110,9 @@ class EngagementEstimator:
         """Return what is known of a person. An image that is a little older than the time until which nobody was seen
         came late; it is no jump of time."""
         person = self._persons.get(identity)
-        is_known = person is not None and stamp >= person.stamp - self._settings.engagement_lost_time
-        return person if person is not None and is_known else _Person(stamp)
+        if person is None or stamp < person.stamp - self._settings.engagement_lost_time:
+            return _Person(stamp)
+        return person
 
     def _places(self, people: PeopleSnapshot, robot: Optional[np.ndarray], heading: Optional[np.ndarray]
                 ) -> Tuple[List[bool], List[float], List[bool]]:

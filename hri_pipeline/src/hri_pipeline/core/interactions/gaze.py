@@ -471,7 +471,6 @@ class GazeTargetFilter:
         self._probabilities = np.zeros((0, 2))
         self._current = np.zeros(0, dtype=np.int64)
         self._unseen, self._none = np.zeros(0), np.zeros(0, dtype=bool)
-        self._weights = self._latest_prior = np.zeros((0, 2))
 
     def update(self, ids: Sequence[str], weights: np.ndarray, ratios: np.ndarray, shares: np.ndarray,
                closed: np.ndarray, dt: float, blinking: Optional[np.ndarray] = None,
@@ -518,14 +517,10 @@ class GazeTargetFilter:
         return self._probabilities
 
     def _prior(self, weights: np.ndarray) -> np.ndarray:
-        """(N, T + 1) how often each target is looked at, nobody last. The same weights come several times."""
-        if weights is self._weights:
-            return self._latest_prior
+        """(N, T + 1) how often each target is looked at, nobody last."""
         total = weights.sum(axis=1, keepdims=True)
         targets = (1.0 - self._settings.nobody_prior) * weights / np.maximum(total, 1.0)
-        self._weights = weights
-        self._latest_prior = np.concatenate([targets, 1.0 - targets.sum(axis=1, keepdims=True)], axis=1)
-        return self._latest_prior
+        return np.concatenate([targets, 1.0 - targets.sum(axis=1, keepdims=True)], axis=1)
 
     def decide(self, targets: np.ndarray) -> np.ndarray:
         """Return what each person looks at (N,), index of a target or -1 for nobody, by how likely everybody looks at

@@ -16,7 +16,8 @@ class PeopleSettings(Settings):
         "load.", unit="Hz", minimum=1.0, maximum=60.0, live=True)
     reference_frame: str = parameter(
         "map", "Frame in which people are compared. Where no transform leads to it, the frame of the sensor takes its "
-        "place, with one warning, and is taken for level.", shared="/humans/reference_frame")
+        "place, with one warning, and is taken for level, as is a reference frame with `optical` in its name.",
+        shared="/humans/reference_frame")
     robot_frame: str = parameter(
         "", "Frame of the robot's head or eyes: what people look at when they look at the robot. Where it looks itself "
         "is its z axis when its name has `optical` in it, else its x axis. Empty: the camera (of several: that with "

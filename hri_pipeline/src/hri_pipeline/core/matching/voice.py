@@ -176,7 +176,7 @@ class VoiceMatcher:
             voice.match = None
         taken: Set[VoiceCandidate] = set()
         for value, name, candidate in sorted(proposals, reverse=True):
-            if candidate not in taken and self._voices[name].match is None:
+            if candidate not in taken:      # one of a voice at most: two are not likelier than not
                 taken.add(candidate)
                 self._voices[name].match, self._voices[name].likelihood = candidate, value
 
@@ -213,7 +213,8 @@ class VoiceMatcher:
         tracks = [self._mouths[face].motion(times) for face in moving]
         ratios = np.array([motion_evidence(motion, weight, self._settings.still_motion) for motion, weight in tracks])
         speech = np.array([self._speech(name, times) for name in names])
-        evidence[:, [faces.index(face) for face in moving]] = mouth_evidence(speech, ratios)
+        others = self._settings.unseen_weight + len(faces) - len(moving)
+        evidence[:, [faces.index(face) for face in moving]] = mouth_evidence(speech, ratios, others)
         return evidence
 
     def _speech(self, name: str, times: np.ndarray) -> np.ndarray:
@@ -272,9 +273,9 @@ _NEAR = (1.5, 2.0)
 
 _INDEPENDENT_S = 0.35
 """Motions so far apart in time are independent: their window is half a second long."""
-NEW_PER_S, NEW_AFTER_PAUSE = 0.1, 0.5
-"""Probability, per second of speech and over a pause, that somebody else goes on under the same voice (without an array
-a voice is whoever speaks): evidence fades by it, that against a face the faster."""
+NEW_PER_S, NEW_AFTER_PAUSE = 0.05, 0.5
+"""Probability, per second of speech and over a pause, that the same voice goes on as anybody's, whoever it was (without
+an array a voice is whoever speaks)."""
 _MOST_ODDS = 150.0
 
 _STRAY = 0.05
@@ -304,7 +305,7 @@ def motion_evidence(motion: np.ndarray, weight: np.ndarray, still_motion: float)
     return np.where(np.isnan(motion), 0.0, weight * np.clip(ratio, -_MOST, _MOST))
 
 
-def mouth_evidence(speech: np.ndarray, moving: np.ndarray) -> np.ndarray:
+def mouth_evidence(speech: np.ndarray, moving: np.ndarray, others: float = 1.0) -> np.ndarray:
     """Return the log-likelihood ratios (V, F) that voices belong to faces, from motion against speech.
 
     Parameters
@@ -314,6 +315,8 @@ def mouth_evidence(speech: np.ndarray, moving: np.ndarray) -> np.ndarray:
         motion, because somebody else speaks, who may be this face.
     moving: (F, T) array
         Of motion_evidence() at the same times.
+    others: float
+        Prior odds of all who may speak beside these faces, against one face.
     """
     # The first row is the chain of a mouth that goes its own way, the same for all voices.
     rows = np.concatenate([np.full((1, moving.shape[1]), UNKNOWN), speech])
@@ -335,7 +338,9 @@ def mouth_evidence(speech: np.ndarray, moving: np.ndarray) -> np.ndarray:
     evidence = np.ones(gains.shape[1:])
     for gain, part in zip(gains, fresh):
         evidence = np.minimum(evidence * gain, _MOST_ODDS)
-        evidence += part * (1.0 - evidence)
+        # Who may be somebody else is anybody with his prior probability, in units of what is now the others'.
+        anybody = part * (evidence.sum(axis=1, keepdims=True) + others) / (evidence.shape[1] + others)
+        evidence = ((1.0 - part) * evidence + anybody) / (1.0 - part + anybody)
     return np.log(evidence)
 
 

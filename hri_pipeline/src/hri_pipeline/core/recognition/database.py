@@ -73,6 +73,7 @@ class PersonDatabase:
         self._notify = notify or (lambda text: None)
         self._lock = threading.RLock()
         self._connection: Optional[sqlite3.Connection] = None
+        self._file: Optional[os.stat_result] = None
         make_private_directory(self.path.parent)
         self._held: Optional[int] = _share(self.path)
         try:
@@ -97,11 +98,21 @@ class PersonDatabase:
         with self._lock:
             if self._connection is None:
                 raise StoreError("{} is closed".format(self.path))
+            if not self._is_there():
+                raise StoreError("{} was removed or replaced while it is used, and nothing is kept since; put it back, "
+                                 "or end all nodes that use it before they are started anew".format(self.path))
             try:
                 yield self._connection
             except sqlite3.Error as error:
                 raise StoreError("{} cannot be used ({}); make room, correct its permissions, or set it aside".format(
                     self.path, error)) from error
+
+    def _is_there(self) -> bool:
+        """Tell whether the file that is used can be found: SQLite goes on writing where nobody will ever read."""
+        try:
+            return self._file is not None and os.path.samestat(self._file, os.stat(str(self.path)))
+        except OSError:
+            return False
 
     @contextmanager
     def writing(self) -> Iterator[sqlite3.Connection]:
@@ -250,6 +261,7 @@ class PersonDatabase:
         self._connection = sqlite3.connect(str(self.path), timeout=_BUSY_S, isolation_level=None,
                                            check_same_thread=False)
         self._connection.text_factory = _text
+        self._file = os.stat(str(self.path))
         for line in ("journal_mode = WAL", "synchronous = FULL", "secure_delete = ON", "foreign_keys = ON",
                      "temp_store = MEMORY", "trusted_schema = OFF"):
             self._connection.execute("PRAGMA " + line).fetchall()

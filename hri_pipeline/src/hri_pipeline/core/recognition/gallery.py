@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import threading
-from typing import Dict, FrozenSet, List, Optional, Sequence, Set
+from typing import Collection, Dict, FrozenSet, List, Optional, Sequence, Set
 
 import numpy as np
 
@@ -47,7 +47,8 @@ class MemoryGallery:
     dimension : D, how many numbers a template has.
     calibration : of the distances of that network's templates.
     max_templates : of more templates of a person the most different ones are kept, and always the first one.
-    max_persons : how many persons there is room for.
+    max_persons : how many persons there is room for. When it is full, of those who have not agreed to be recognised and
+        are not in view, who was not seen for longest gives way.
     """
 
     def __init__(self, model: str, dimension: int, calibration: TemplateCalibration, max_templates: int = MAX_TEMPLATES,
@@ -67,6 +68,8 @@ class MemoryGallery:
         self._enrolled = np.zeros(16, bool)
         self._apart: Set[FrozenSet[str]] = set()
         self._borrowed: Dict[str, str] = {}
+        self._unseen: Dict[str, None] = {}      # everybody, who was not seen for longest first
+        self._in_view: Set[str] = set()
 
     def __len__(self) -> int:
         return len(self._ids)
@@ -77,7 +80,7 @@ class MemoryGallery:
     @property
     def refusal(self) -> str:
         """Why nobody can be added, empty when somebody can."""
-        if len(self._ids) < self._max_persons:
+        if len(self._ids) < self._max_persons or self._dispensable():
             return ""
         return "the gallery is full ({} persons); forget somebody".format(self._max_persons)
 
@@ -91,10 +94,27 @@ class MemoryGallery:
                 raise GalleryError("person {} is there already".format(person_id))
             if self.refusal:
                 raise GalleryError(self.refusal)
+            if len(self._ids) >= self._max_persons:
+                self.remove(self._dispensable())
             row = self._row[person_id] = len(self._ids)
             self._make_room(row + 1)
             self._ids.append(person_id)
+            self._unseen[person_id] = None
             self._fill(row, templates, enrolled)
+
+    def note_seen(self, person_ids: Collection[str]) -> None:
+        """Note who is in view now."""
+        with self._lock:
+            self._in_view = set(person_ids)
+            for person_id in self._in_view & self._unseen.keys():
+                del self._unseen[person_id]
+                self._unseen[person_id] = None
+
+    def _dispensable(self) -> str:
+        """Who gives way to somebody new; empty where nobody does."""
+        with self._lock:
+            return next((name for name in self._unseen if not (
+                self._enrolled[self._row[name]] or name in self._in_view or name in self._borrowed)), "")
 
     def borrow(self, people: Sequence[KnownPerson], source: str) -> None:
         """Know these people, too, of whom nothing is learnt, kept or changed here: those of the read-only store
@@ -230,7 +250,7 @@ class MemoryGallery:
     def clear(self) -> None:
         """Forget everybody."""
         with self._lock:
-            self._row, self._ids, self._apart, self._borrowed = {}, [], set(), {}
+            self._row, self._ids, self._apart, self._borrowed, self._unseen = {}, [], set(), {}, {}
             self._templates[:] = 0.0
             self._count[:] = 0
             self._enrolled[:] = False
@@ -277,7 +297,7 @@ class MemoryGallery:
         for values in (self._templates, self._count, self._enrolled):
             values[row:last] = values[row + 1:last + 1].copy()
             values[last] = 0
-        del self._ids[row]
+        del self._ids[row], self._unseen[person_id]
         self._row = {name: index for index, name in enumerate(self._ids)}
 
     def _fill(self, row: int, templates: np.ndarray, enrolled: bool) -> None:

@@ -399,6 +399,7 @@ class Recogniser:
         before = {face.id: face.person for face in self._faces.values()}
         note_pictures(list(self._faces.values()), self._newest, self.gallery.calibration.one_human)
         assign_persons(list(self._faces.values()), self._newest)
+        self.gallery.note_seen({face.person for face in self._faces.values() if face.person})
         limit = self.gallery.calibration.one_human
         there = [face for face in self._faces.values() if face.is_there(self._newest)]
         for face in there:

@@ -142,13 +142,17 @@ class PersonStore:
 
     def expire(self, now: float, max_age: float, max_persons: int, is_synchronised: bool = False) -> List[str]:
         """Remove who was not seen for `max_age` (s; 0: no limit), and of more than `max_persons` (0: no limit) those
-        who were not seen for the longest time, without a trace; returns their ids. Nobody goes by a clock that has
-        jumped (`judge_retention`), unless the system says that it is right; `clock_problem` tells.
+        who were not seen for the longest time, without a trace; returns their ids. Of too many, those who have a name
+        or a language, or have agreed, go last. Nobody goes by a clock that has jumped (`judge_retention`), unless the
+        system says that it is right; `clock_problem` tells.
         """
         with self._database.writing() as database:
             people = {person.id: person for person in self.load_records()}
+            told = {one.id for one in people.values() if one.name or one.native_language or one.enrolled}
+            told |= {one.alias for one in people.values() if one.id in told}
+            told |= {one.id for one in people.values() if one.alias in told and one.alias}    # the same human
             verdict = judge_retention({name: person.last_seen for name, person in people.items()}, self._load_clock(),
-                                      now, max_age, max_persons, is_synchronised)
+                                      now, max_age, max_persons, is_synchronised, told)
             for name in verdict.redated:
                 self.put_record(replace(people[name], last_seen=now), is_new=False)
             database.executemany("DELETE FROM persons WHERE id = ?", [(name,) for name in verdict.gone])

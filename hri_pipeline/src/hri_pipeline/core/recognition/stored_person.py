@@ -13,7 +13,7 @@ import json
 import math
 import time
 from dataclasses import dataclass, field
-from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Callable, Container, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -230,7 +230,7 @@ class RetentionVerdict:
 
 
 def judge_retention(last_seen: Mapping[str, float], clock: Optional[StoreClock], now: float, max_age: float,
-                    max_persons: int, is_synchronised: bool = False) -> RetentionVerdict:
+                    max_persons: int, is_synchronised: bool = False, told: Container[str] = ()) -> RetentionVerdict:
     """Decide who stays.
 
     While the clock is doubted nobody expires by age. It is trusted again when it is synchronised, is back at the time
@@ -244,6 +244,7 @@ def judge_retention(last_seen: Mapping[str, float], clock: Optional[StoreClock],
     max_age : greatest time (s) unseen; 0: no limit.
     max_persons : most people; 0: no limit.
     is_synchronised : whether the system says that its clock is right, as by NTP.
+    told : of whom somebody has said something: of too many they go last.
     """
     if clock is None:
         known = list(last_seen.values()) or [now]
@@ -252,7 +253,8 @@ def judge_retention(last_seen: Mapping[str, float], clock: Optional[StoreClock],
     clock = _at(clock, now, max_age, is_synchronised)
     ages = {person: _age(when, before, clock, now) for person, when in last_seen.items()}
     # Who was seen since the clock jumped has no age while it is doubted, and was seen last.
-    order = sorted(last_seen, key=lambda person: (ages[person] is not None or clock.doubted is None,
+    order = sorted(last_seen, key=lambda person: (person not in told,
+                                                  ages[person] is not None or clock.doubted is None,
                                                   ages[person] or 0.0, -last_seen[person]))
     is_old = {person: clock.doubted is None and 0.0 < max_age < (ages[person] or 0.0) for person in order}
     gone = [person for number, person in enumerate(order) if is_old[person] or 0 < max_persons <= number]

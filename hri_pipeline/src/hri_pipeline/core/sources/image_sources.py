@@ -199,7 +199,7 @@ def _no_camera(device: str) -> str:
 
 def _in_reading_order(path: Path) -> list:
     """Sort key: picture2 comes before picture10."""
-    return [(0, int(part), "") if part.isdigit() else (1, 0, part.lower())
+    return [(0, int(part), "") if part.isdecimal() else (1, 0, part.lower())
             for part in re.split(r"(\d+)", path.name) if part]
 
 

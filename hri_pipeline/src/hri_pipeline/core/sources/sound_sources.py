@@ -133,9 +133,6 @@ class _OpenFile:
         except (soundfile.LibsndfileError, RuntimeError, TypeError) as error:
             raise SoundSourceError("cannot read {}: {}; it must be sound that libsndfile knows (wav, flac, ogg, mp3), "
                                    "try: ffmpeg -i {} sound.wav".format(path, error, path.name)) from error
-        if self._file.frames < 1:
-            self._file.close()
-            raise SoundSourceError("{} holds no sound; give another".format(path))
         self.rate, self.channels = rate or self._file.samplerate, channels or self._file.channels
         if self._file.channels not in (self.channels, 1) and self.channels != 1:
             given = self._file.channels
@@ -144,9 +141,12 @@ class _OpenFile:
                 path, given, self.channels, given))
         self._resampler = None if self._file.samplerate == self.rate else soxr.ResampleStream(
             self._file.samplerate, self.rate, self.channels, dtype="float32")
-        self._waiting = np.zeros((0, self.channels), np.float32)
         self._pause = int(settings.pause * self.rate)
         self._is_read = False
+        self._waiting = self._more()
+        if not len(self._waiting):
+            self._file.close()
+            raise SoundSourceError("{} holds no sound; give another".format(path))
 
     def read(self, count: int) -> np.ndarray:
         """Return `count` samples, fewer at the end."""
@@ -163,6 +163,7 @@ class _OpenFile:
         try:
             samples = self._file.read(_READ, dtype="float32", always_2d=True)
         except (soundfile.LibsndfileError, RuntimeError) as error:
+            self._file.close()
             raise SoundSourceError("{} is damaged: {}; replace it".format(self._path, error)) from error
         self._is_read = len(samples) < _READ
         if self.channels == 1:
@@ -214,7 +215,7 @@ def sounds_in(directory: Path) -> List[Path]:
     Raises SoundSourceError when there is none.
     """
     paths = sorted((path for path in directory.iterdir() if path.suffix.lower() in SOUND_SUFFIXES), key=lambda path: [
-        (0, int(part), "") if part.isdigit() else (1, 0, part.lower())
+        (0, int(part), "") if part.isdecimal() else (1, 0, part.lower())
         for part in re.split(r"(\d+)", path.name) if part])
     if not paths:
         raise SoundSourceError("directory {} holds no sound file ({}); give another, or put some there".format(
