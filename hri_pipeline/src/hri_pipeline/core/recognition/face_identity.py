@@ -267,6 +267,7 @@ class FaceIdentity:
     last_seen, cropped : times (s) of the last image with the face, and of the last crop.
     passed_over : time (s) of the last crop that was too blurred for a template.
     is_covered : the last crop did not show nose and mouth, so it made no template.
+    open : time (s) of the last crop of which it was asked, and that showed them.
     crops : number of crops so far.
     person : id of the person it is taken for, empty when that is not known.
     barred : its person was forgotten, so it is not learnt again.
@@ -290,6 +291,7 @@ class FaceIdentity:
     cropped: float = -math.inf
     passed_over: float = -math.inf
     is_covered: bool = False
+    open: float = -math.inf
     crops: int = 0
     person: str = ""
     barred: bool = False

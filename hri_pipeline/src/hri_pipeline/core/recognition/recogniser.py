@@ -54,6 +54,8 @@ NOT_SEEN_WELL = "not seen well yet"
 """Why a face is nobody's, where its crops are the reason."""
 COVERED = "nose and mouth are covered"
 """The same, of somebody with a mask or scarf."""
+OPEN_S = 1.0
+"""Time (s) for which a face that showed nose and mouth is not asked again."""
 SAME = 0.95
 """Likelihood that is published of two known persons who are the same by their templates."""
 SHOWN_S = 60.0
@@ -142,19 +144,25 @@ class Recogniser:
             face.passed_over = stamp
             return True
 
-    def agrees(self, face_id: str, template: np.ndarray) -> bool:
-        """Tell whether a face has a sure name, and a template (D,) of it alone speaks for that name."""
+    def asks_for_cover(self, face_id: str, template: np.ndarray, stamp: float) -> bool:
+        """Tell whether it is to be asked if a crop at `stamp` (s) shows nose and mouth: not while the face has a sure
+        name for which its template (D,) alone speaks, nor in the second after a crop that showed them."""
         with self._lock:
             face = self._faces.get(face_id)
-            log_odds = self._log_odds(face.person, template) if face is not None and face.is_sure else None
-            return log_odds is not None and log_odds > 0.0
+            if face is None:
+                return True
+            log_odds = self._log_odds(face.person, template) if face.is_sure else None
+            return (log_odds is None or log_odds <= 0.0) and not 0.0 <= stamp - face.open < OPEN_S
 
-    def note_covered(self, face_ids: Iterable[str], stamp: float) -> None:
-        """Take note of faces whose crops at `stamp` (s) do not show nose and mouth: they make no template."""
+    def note_cover(self, covered: Mapping[str, bool], stamp: float) -> None:
+        """Take note by face whether its crop at `stamp` (s) does not show nose and mouth: then it makes no template."""
         with self._lock:
-            for face_id in face_ids:
-                if face_id in self._faces:
-                    self._faces[face_id].note_covered(stamp)
+            for face_id, is_covered in covered.items():
+                face = self._faces.get(face_id)
+                if face is not None and is_covered:
+                    face.note_covered(stamp)
+                elif face is not None:
+                    face.open = stamp
 
     def turn(self, rotation: ImageRotation) -> None:
         """Take note that the images are turned by `rotation` from now on, against those before."""
@@ -565,19 +573,19 @@ class FaceRecognition:
             return self.recogniser.changes()
         templates = self._embedder.embed([crops[face_id] for face_id in chosen])
         self.made = dict(zip(chosen, templates))
-        covered = self._covered(crops)
-        self.recogniser.note_covered(covered, stamp)
-        shown = [face_id for face_id in chosen if face_id not in covered]
+        covered = self._covered(crops, stamp)
+        self.recogniser.note_cover(covered, stamp)
+        shown = [face_id for face_id in chosen if not covered.get(face_id)]
         return self.recogniser.update(shown, [self.made[face_id] for face_id in shown],
                                       [self._qualities[face_id] for face_id in shown], stamp)
 
-    def _covered(self, crops: Mapping[str, np.ndarray]) -> List[str]:
-        """Return which faces of `made` do not show nose and mouth; to ask costs a template, so that those which are who
-        they are taken for are not asked."""
-        asked = [face_id for face_id, template in self.made.items() if not self.recogniser.agrees(face_id, template)]
-        covered = self._embedder.covered([crops[face_id] for face_id in asked],
-                                         np.array([self.made[face_id] for face_id in asked]))
-        return [face_id for face_id, is_covered in zip(asked, covered) if is_covered]
+    def _covered(self, crops: Mapping[str, np.ndarray], stamp: float) -> Dict[str, bool]:
+        """Return by face of `made` whether it does not show nose and mouth; to ask costs a template, so that few are
+        asked about."""
+        asked = [face_id for face_id, template in self.made.items()
+                 if self.recogniser.asks_for_cover(face_id, template, stamp)]
+        return dict(zip(asked, self._embedder.covered([crops[face_id] for face_id in asked],
+                                                      np.array([self.made[face_id] for face_id in asked])).tolist()))
 
     def changes(self, stamp: float) -> List[PersonMatch]:
         """Return what has changed without a new template at `stamp` (s): a person was forgotten, merged or enrolled, or
