@@ -16,9 +16,10 @@ from hri_pipeline.core.faces.pipeline import FacePipeline
 from hri_pipeline.core.ids import IdGenerator, is_valid_id
 from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.recognition.face_identity import FaceEvidence, FaceTemplate, SamePersons
+from hri_pipeline.core.recognition.face_recognition import FaceRecognition
 from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
-from hri_pipeline.core.recognition.recogniser import COVERED, NOT_SEEN_WELL, SAME, FaceRecognition, Recogniser
+from hri_pipeline.core.recognition.recogniser import COVERED, NOT_SEEN_WELL, SAME, Recogniser
 from hri_pipeline.core.recognition.store import KnownPerson
 from hri_pipeline.core.recognition.stored_gallery import open_gallery
 
