@@ -81,6 +81,29 @@ def test_a_batch_gives_what_one_by_one_gives(embedder):
     assert embedder.embed([]).shape == (0, 128)
 
 
+def masked(crop, colour):
+    """A crop with a mask over nose and mouth, up to the cheeks."""
+    shape = np.array([[0.2, 0.52], [0.5, 0.42], [0.8, 0.52], [0.78, 0.75], [0.62, 0.97], [0.38, 0.97], [0.22, 0.75]])
+    picture = cv2.fillPoly(crop.copy(), [np.int32(shape * len(crop))], colour, cv2.LINE_AA)
+    return cv2.GaussianBlur(picture, (0, 0), 0.7)
+
+
+def test_nose_and_mouth_are_covered_by_masks_and_not_by_beards_and_laughter(embedder):
+    stage, crops = recognising_stage(), []
+    for number in (3, 6):
+        image = cv2.imread(str(models_directory() / "demo" / "sample{}.jpg".format(number)))
+        camera = CameraModel.from_fov(image.shape[1], image.shape[0], 1.0)
+        for look in range(8):
+            faces = stage.update(image, camera, 100.0 * number + 0.1 * look)
+        crops += [embedder.crop(image, face.mesh) for face in faces]
+    assert len(crops) >= 6
+    assert not embedder.covered(crops, embedder.embed(crops)).any()
+    for colour in ((215, 190, 150), (40, 38, 36), (235, 238, 240)):
+        hidden = [masked(crop, colour) for crop in crops]
+        assert embedder.covered(hidden, embedder.embed(hidden)).all()
+    assert embedder.covered([], embedder.embed([])).shape == (0,)
+
+
 @pytest.mark.parametrize("mesh", [np.full((478, 3), np.nan), np.zeros((478, 3)), np.full((478, 3), np.inf)])
 def test_points_that_are_no_face_are_refused(embedder, mesh):
     with pytest.raises(ValueError, match="one place"):

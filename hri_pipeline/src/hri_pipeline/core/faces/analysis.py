@@ -47,7 +47,7 @@ from hri_pipeline.core.observations import FaceObservation, SoftBiometrics
 from hri_pipeline.core.onnx import model_path
 from hri_pipeline.core.process import ONE_THREAD, Threads
 from hri_pipeline.core.recognition.face_identity import LEARN_QUALITY, PersonMatch
-from hri_pipeline.core.recognition.recogniser import FaceRecognition
+from hri_pipeline.core.recognition.face_recognition import FaceRecognition
 from hri_pipeline.core.timing import StageTimes
 
 STAGES = ("action_units", "expression", "age_gender", "recognition")

@@ -25,7 +25,7 @@ from hri_pipeline.core.onnx import model_path
 from hri_pipeline.core.person_detector import PersonDetector
 from hri_pipeline.core.process import Threads
 from hri_pipeline.core.recognition.face_identity import PersonMatch
-from hri_pipeline.core.recognition.recogniser import FaceRecognition
+from hri_pipeline.core.recognition.face_recognition import FaceRecognition
 from hri_pipeline.core.timing import StageTimes
 
 NOTHING = FaceDemand()

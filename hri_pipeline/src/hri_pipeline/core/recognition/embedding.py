@@ -47,6 +47,9 @@ _CENTRE = tuple(0.001 * number for number in (
     139, 37, 106, 57, 44, 11, -7, -96, -52, 29, -33, 13, 10))
 """Mean of the templates of the 22 people of the half `tuning` of scripts/benchmarks/identity_names.py."""
 
+_LOWER_FACE = (0.45, 0.98, 0.15, 0.85)
+"""Where dlib's crop shows the face from the middle of the nose down."""
+
 
 @dataclass(frozen=True)
 class EmbeddingKind:
@@ -62,6 +65,8 @@ class EmbeddingKind:
     calibration : of the distances of its templates.
     divisor : by which the pixels are divided then.
     alignment : `dlib` or `arcface`: which points of the face are brought where.
+    lower_face : top, bottom, left and right of the part of the crop with nose and mouth, in sides of it; empty where it
+        was not measured what the network makes of covered ones.
     """
 
     name: str
@@ -74,6 +79,7 @@ class EmbeddingKind:
     calibration: TemplateCalibration
     divisor: float = 1.0
     alignment: str = "dlib"
+    lower_face: Tuple[float, ...] = ()
 
 
 KINDS: Dict[str, EmbeddingKind] = {
@@ -90,7 +96,8 @@ KINDS: Dict[str, EmbeddingKind] = {
     "face_recognition": EmbeddingKind("face_recognition", "image", "embedding", 150, 128, (0.0, 0.0, 0.0), True,
                                       TemplateCalibration(midpoint=0.38, fair_midpoint=0.40, scale=0.0135, near=0.15,
                                                           kin_midpoint=0.34, kin_scale=0.018, spread=0.20,
-                                                          one_human=0.254, centre=_CENTRE, radius=0.41, crowd=0.38)),
+                                                          one_human=0.254, centre=_CENTRE, radius=0.41, crowd=0.38),
+                                      lower_face=_LOWER_FACE),
     # Half of the people of scripts/benchmarks/identity_names.py: same, on other pictures, 0.60 +- 0.15, most 0.93
     # (elsewhere 0.77 +- 0.17); different 1.39 +- 0.10, least 0.81 (single views of all qualities). What kin are was not
     # measured: inferred from its error rate on a film of alike people, 1.0 to 1.3.
@@ -150,6 +157,14 @@ class FaceEmbedder:
             return np.empty((0, self.dimension), np.float32)
         return unit(np.stack(self._model.threads.in_parts(self._vectors, crops)))
 
+    def covered(self, crops: Sequence[np.ndarray], templates: np.ndarray) -> np.ndarray:
+        """Return (N,) bool: whether crops (N, S, S, 3) uint8 BGR with these templates (N, dimension) do not show nose
+        and mouth: a mask, a scarf, a cup. With that part upside down it is the same face still."""
+        if not self._kind.lower_face or not len(crops):
+            return np.zeros(len(crops), bool)
+        turned = self.embed([_upside_down(crop, self._kind.lower_face) for crop in crops])
+        return np.linalg.norm(turned - templates, axis=1) < self.calibration.spread
+
     def _vectors(self, crops: Sequence[np.ndarray]) -> List[np.ndarray]:
         """What the network says of each crop: (dimension,)."""
         return [vector for start in range(0, len(crops), MAX_BATCH)
@@ -170,6 +185,15 @@ class FaceEmbedder:
 
     def _run(self, batch: np.ndarray) -> np.ndarray:
         return self._model.run({self._kind.input: batch})[self._kind.output].reshape(len(batch), -1)
+
+
+def _upside_down(crop: np.ndarray, part: Sequence[float]) -> np.ndarray:
+    """Return a crop (S, S, 3) with a part of it upside down; part: top, bottom, left, right, in sides of the crop."""
+    height, width = crop.shape[:2]
+    top, bottom, left, right = (int(share * side) for share, side in zip(part, (height, height, width, width)))
+    crop = crop.copy()
+    crop[top:bottom, left:right] = crop[top:bottom, left:right][::-1].copy()
+    return crop
 
 
 def load_face_embedder(configured: str = "", providers: Sequence[str] = ("cpu",),

@@ -74,7 +74,11 @@ def templates_of(paths: Sequence[Path], model: str = "") -> PhotographTemplates:
             if crop is None:
                 left_out.append("{}: {}".format(path.name, problem))
                 continue
-            templates.append(embedder.embed([crop])[0])
+            template = embedder.embed([crop])
+            if embedder.covered([crop], template)[0]:
+                left_out.append("{}: nose and mouth are covered".format(path.name))
+                continue
+            templates.append(template[0])
             used.append(path.name)
     finally:
         pipeline.close()

@@ -266,6 +266,8 @@ class FaceIdentity:
     evidence : its templates.
     last_seen, cropped : times (s) of the last image with the face, and of the last crop.
     passed_over : time (s) of the last crop that was too blurred for a template.
+    is_covered : the last crop did not show nose and mouth, so it made no template.
+    open : time (s) of the last crop of which it was asked, and that showed them.
     crops : number of crops so far.
     person : id of the person it is taken for, empty when that is not known.
     barred : its person was forgotten, so it is not learnt again.
@@ -288,6 +290,8 @@ class FaceIdentity:
     last_seen: float
     cropped: float = -math.inf
     passed_over: float = -math.inf
+    is_covered: bool = False
+    open: float = -math.inf
     crops: int = 0
     person: str = ""
     barred: bool = False
@@ -329,9 +333,10 @@ class FaceIdentity:
         that shows better who it is than those before; ever longer later."""
         lacks_good = not self.person and self.evidence.good(LEARN_QUALITY) < LEARN_CROPS
         is_better = quality > self.evidence.best_quality + BETTER or (lacks_good and quality >= LEARN_QUALITY)
-        if self.doubt.level > 0.0 or is_better:
+        if (self.doubt.level > 0.0 or is_better) and not self.is_covered:
             return FIRST_INTERVAL
-        patience, longest = (PATIENCE, self.named_interval) if self.person else (2 * PATIENCE, LONGEST_INTERVAL)
+        patience, longest = ((PATIENCE, self.named_interval) if self.person or self.is_covered else
+                             (2 * PATIENCE, LONGEST_INTERVAL))
         return float(min(FIRST_INTERVAL * 1.5 ** min(50, max(0, self.crops - patience)), longest))
 
     def is_due(self, quality: float, stamp: float) -> bool:
@@ -346,9 +351,14 @@ class FaceIdentity:
 
     def note_crop(self, stamp: float, again: bool) -> None:
         """Note a crop at `stamp` (s). again: it shows somebody else, so the next crops come soon."""
-        self.crops = 1 if again else self.crops + 1
-        self.cropped = stamp
+        self.crops = 1 if again or self.is_covered else self.crops + 1
+        self.cropped, self.is_covered = stamp, False
         self.result = None
+
+    def note_covered(self, stamp: float) -> None:
+        """Note a crop at `stamp` (s) without nose and mouth: the next ones come less and less often."""
+        self.crops = self.crops + 1 if self.is_covered else 1
+        self.cropped, self.is_covered = stamp, True
 
     def take(self, template: FaceTemplate, log_odds: Optional[float]) -> None:
         """Add a template; log_odds: of this view alone, that it is of the person named, None without a name.

@@ -4,25 +4,17 @@ A face is compared with the gallery by the mean of its crops. Close to one perso
 that person that is new is learnt. Far from everybody, seen well and for long enough: a new person, where learning is
 allowed. Between the two: candidates, with lower likelihoods. A name that later views contradict is taken back. Two
 faces in one image are never the same person, and stay two people for ever.
-
-`FaceRecognition` is what the face pipeline uses: the network, the gallery and the `Recogniser` put together.
 """
 
 from __future__ import annotations
 
 import threading
-from typing import Callable, Collection, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
+from typing import Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
-from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.faces.parameters import FacePipelineSettings
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.image_rotation import ImageRotation
-from hri_pipeline.core.observations import FaceObservation
-from hri_pipeline.core.privacy import TemplateCipher
-from hri_pipeline.core.process import ONE_THREAD, Threads
-from hri_pipeline.core.recognition.embedding import FaceEmbedder, load_face_embedder
 from hri_pipeline.core.recognition.face_identity import (
     ACCEPT,
     LEARN_AT_ONCE,
@@ -44,7 +36,6 @@ from hri_pipeline.core.recognition.face_identity import (
 from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery
 from hri_pipeline.core.recognition.likelihood import MatchResult
 from hri_pipeline.core.recognition.store import KnownPerson
-from hri_pipeline.core.recognition.stored_gallery import open_gallery
 
 POLICIES = ("learn", "enrolled")
 """learn: an unknown person who is seen well gets an id; enrolled: only people who were enrolled are recognised."""
@@ -52,15 +43,15 @@ NEW_BELOW = 0.4
 """Likelihood, without caution, of being anybody known, below which a face is somebody new."""
 NOT_SEEN_WELL = "not seen well yet"
 """Why a face is nobody's, where its crops are the reason."""
+COVERED = "nose and mouth are covered"
+"""The same, of somebody with a mask or scarf."""
+OPEN_S = 1.0
+"""Time (s) for which a face that showed nose and mouth is not asked again."""
 SAME = 0.95
 """Likelihood that is published of two known persons who are the same by their templates."""
 SHOWN_S = 60.0
 """For how long (s) after somebody was named last, a face seen well that is nobody's is told not to be that person: the
 body that it has now may have been that person's, as after a cut of the picture."""
-ASK_PERIOD = 0.2
-"""Time (s) between two comparisons without a new template."""
-
-Notify = Callable[[str], None]
 
 
 class Recogniser:
@@ -140,13 +131,33 @@ class Recogniser:
             face.passed_over = stamp
             return True
 
+    def asks_for_cover(self, face_id: str, template: np.ndarray, stamp: float) -> bool:
+        """Tell whether it is to be asked if a crop at `stamp` (s) shows nose and mouth: not while the face has a sure
+        name for which its template (D,) alone speaks, nor in the second after a crop that showed them."""
+        with self._lock:
+            face = self._faces.get(face_id)
+            if face is None:
+                return True
+            log_odds = self._log_odds(face.person, template) if face.is_sure else None
+            return (log_odds is None or log_odds <= 0.0) and not 0.0 <= stamp - face.open < OPEN_S
+
+    def note_cover(self, covered: Mapping[str, bool], stamp: float) -> None:
+        """Take note by face whether its crop at `stamp` (s) does not show nose and mouth: then it makes no template."""
+        with self._lock:
+            for face_id, is_covered in covered.items():
+                face = self._faces.get(face_id)
+                if face is not None and is_covered:
+                    face.note_covered(stamp)
+                elif face is not None:
+                    face.open = stamp
+
     def turn(self, rotation: ImageRotation) -> None:
         """Take note that the images are turned by `rotation` from now on, against those before."""
         with self._lock:
             for face in self._faces.values():
                 face.motion.turn(rotation)
 
-    def update(self, face_ids: Sequence[str], templates: np.ndarray, qualities: Sequence[float],
+    def update(self, face_ids: Sequence[str], templates: Sequence[np.ndarray], qualities: Sequence[float],
                stamp: float) -> List[PersonMatch]:
         """Add templates (N, D) of faces in the image at `stamp` (s), and return what `changes` returns.
 
@@ -349,14 +360,17 @@ class Recogniser:
             self._refused += 1
             return
         before = face.person
-        distance = self.gallery.nearest(before, template) if before else None
-        log_odds = None if distance is None else float(self.gallery.calibration.log_odds(
-            np.array(distance), len(self.gallery)))
-        face.take(FaceTemplate(template, quality, stamp), log_odds)
+        face.take(FaceTemplate(template, quality, stamp), self._log_odds(before, template) if before else None)
         if before and not face.person:
             # Who was beside a face with a wrong name may be that person.
             for other in self._faces.values():
                 other.apart = {person_id: beside for person_id, beside in other.apart.items() if beside != face_id}
+
+    def _log_odds(self, person_id: str, template: np.ndarray) -> Optional[float]:
+        """Return the logarithm of the odds that one template (D,) is of a person, None for somebody unknown."""
+        distance = self.gallery.nearest(person_id, template)
+        return None if distance is None else float(self.gallery.calibration.log_odds(
+            np.array(distance), len(self.gallery)))
 
     def _compare(self) -> None:
         """Compare the faces that have changed; all of them when the gallery has."""
@@ -442,7 +456,7 @@ class Recogniser:
         if face.barred:
             return "forgotten while in view"
         if evidence.good(LEARN_QUALITY) < LEARN_CROPS:
-            return NOT_SEEN_WELL
+            return COVERED if face.is_covered else NOT_SEEN_WELL
         if evidence.duration < self.learn_delay:
             return "seen for {:.1f} of {:g} s".format(evidence.duration, self.learn_delay)
         if face.is_picture:
@@ -482,107 +496,3 @@ class Recogniser:
             person_id = self._ids.new()
             if person_id not in self.gallery:
                 return person_id
-
-
-class FaceRecognition:
-    """Says which faces are of which persons: network, gallery and Recogniser together.
-
-    `recogniser` and flush() may be used from other threads, the rest may not.
-
-    Parameters
-    ----------
-    settings : those of faces.parameters.ANALYSIS_PARAMETERS and `providers`.
-    notify : called with one line about the gallery's file and about the network's execution provider.
-    threads : share the faces of an image.
-
-    Raises
-    ------
-    ModelError
-        The network cannot be loaded.
-    StoreError
-        The gallery's file cannot be used.
-    """
-
-    def __init__(self, settings: FacePipelineSettings, notify: Optional[Notify] = None,
-                 threads: Threads = ONE_THREAD) -> None:
-        self._embedder = load_face_embedder(settings.recognition_model, settings.providers, notify, threads)
-        embedder = self._embedder
-        cipher = TemplateCipher(settings.gallery_key) if settings.gallery_key else None
-        self._gallery = open_gallery(settings.gallery, embedder.kind, embedder.dimension, embedder.calibration,
-                                     cipher, notify, settings.gallery_read_only)
-        self.recogniser = Recogniser(self._gallery, settings.recognition_policy, settings.recognition_learn_delay)
-        self._due: List[str] = []
-        self._asked = -np.inf
-        self._qualities: Mapping[str, float] = {}
-        self.made: Dict[str, np.ndarray] = {}
-        """Templates (D,) of the last image by id of their face."""
-
-    @property
-    def embedder(self) -> FaceEmbedder:
-        """The network that makes the templates."""
-        return self._embedder
-
-    def due(self, qualities: Mapping[str, float], stamp: float, limit: int = 1,
-            faces: Sequence[FaceObservation] = ()) -> bool:
-        """Note the faces measured in this image; return whether one of them is worth a template now.
-
-        limit: how many templates look() may make. faces: those measured, with their meshes.
-        """
-        self._qualities, self.made = qualities, {}
-        self._due = self.recogniser.seen(qualities, stamp, limit)
-        self.recogniser.watch({face.id: face.mesh for face in faces if face.mesh is not None}, stamp)
-        return bool(self._due)
-
-    def look(self, bgr: np.ndarray, faces: Sequence[FaceObservation], stamp: float,
-             camera: Optional[CameraModel] = None) -> List[PersonMatch]:
-        """Make the templates that are due; returns what has changed, withdrawals (likelihood 0) first.
-
-        camera: of the image; None: not known.
-        """
-        crops = {face.id: self._embedder.crop(bgr, face.mesh, camera) for face in faces if face.id in self._due}
-        self._due = []
-        chosen = [face_id for face_id, crop in crops.items() if not self.recogniser.is_blurred(face_id, crop, stamp)]
-        if not chosen:
-            return self.recogniser.changes()
-        templates = self._embedder.embed([crops[face_id] for face_id in chosen])
-        self.made = dict(zip(chosen, templates))
-        return self.recogniser.update(chosen, templates, [self._qualities[face_id] for face_id in chosen], stamp)
-
-    def changes(self, stamp: float) -> List[PersonMatch]:
-        """Return what has changed without a new template at `stamp` (s): a person was forgotten, merged or enrolled, or
-        an unknown face has been seen long enough. Computed a few times per second only, because the comparison costs
-        time.
-        """
-        if 0.0 <= stamp - self._asked < ASK_PERIOD:
-            return []
-        self._asked = stamp
-        return self.recogniser.changes()
-
-    def keep(self, ids: Collection[str]) -> None:
-        """Forget all faces but these; the persons stay."""
-        self.recogniser.keep(ids)
-
-    def reset(self) -> None:
-        """Forget all faces; the persons stay."""
-        self.recogniser.reset()
-        self._due, self.made = [], {}
-        self._asked = -np.inf
-
-    def flush(self) -> None:
-        """Write what has changed to the gallery file; may be called from another thread."""
-        self._gallery.flush()
-
-    def status(self, flaws: Mapping[str, str]) -> Dict[str, object]:
-        """Return values for diagnostics; flaws: what spoils the crops of faces, by their ids."""
-        unknown = self.recogniser.unknown()
-        values: Dict[str, object] = {"recognition_" + name: value for name, value in self.recogniser.status().items()}
-        values["recognition_unknown_faces"] = len(unknown)
-        values["recognition_unknown_why"] = "; ".join("{}: {}{}".format(
-            face_id, why, ", {}".format(flaws[face_id]) if why == NOT_SEEN_WELL and face_id in flaws else "")
-            for face_id, why in unknown.items())
-        return values
-
-    def close(self) -> None:
-        """Write and close the gallery: all faces have left. Idempotent."""
-        self.recogniser.keep(())
-        self._gallery.close()
