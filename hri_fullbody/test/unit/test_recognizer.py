@@ -161,6 +161,19 @@ def test_a_wrist_may_be_missing_for_a_while_but_not_for_ever(pose, attitude):
     assert gone[-1].attitude == AttitudeClass.OTHER and gone[-1].attitude_confidence == 0.0
 
 
+@pytest.mark.parametrize("rate", (5.0, 30.0))
+@pytest.mark.parametrize("again", (False, True), ids=["one glimpse", "one every 0.6 s"])
+def test_a_glimpse_of_a_hand_that_is_then_remembered_is_no_raised_hand(rate, again):
+    """Of people close to each other one often has a neighbour's hand for one look."""
+    shown, body = people.raised().seen(), BehaviourRecognizer()
+    hidden = shown.copy()
+    hidden[[kp.LEFT_WRIST, kp.RIGHT_WRIST]] = np.nan
+    told = [body.update(shown if number % round(0.6 * rate) == 0 and (again or number == 0) else hidden, STATURE,
+                        number / rate, UP).attitude for number in range(int(3.0 * rate))]
+    assert set(told) == {AttitudeClass.OTHER}
+    assert show(body, shown, 1.0, rate, start=3.0)[-1].attitude == AttitudeClass.HANDS_RAISED
+
+
 def test_one_arm_is_enough_and_one_elbow_may_be_hidden():
     one = people.raised("left").without(kp.RIGHT_ELBOW, kp.RIGHT_WRIST).seen()
     assert last(one).gesture == GestureClass.LEFT_HAND_RAISED

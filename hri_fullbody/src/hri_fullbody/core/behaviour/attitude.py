@@ -76,11 +76,11 @@ class Latch:
         self._held = self._unknown = 0.0
         self._running = False
 
-    def update(self, score: float, elapsed: float) -> bool:
+    def update(self, score: float, elapsed: float, seen: bool = True) -> bool:
         """Take a score (0 to 1, NaN unknown) `elapsed` s after the one before; return whether the latch is closed.
 
         Time counts from the first score beyond the threshold, so that one score alone never turns the latch, at
-        whatever frame rate.
+        whatever frame rate. seen: False for one of remembered key points: it holds a latch, and closes none.
         """
         if math.isnan(score):
             self._unknown += elapsed
@@ -88,6 +88,9 @@ class Latch:
                 self.active, self._running, self._held = False, False, 0.0
             return self.active
         self._unknown = 0.0
+        if not (seen or self.active):
+            self._running, self._held = False, 0.0
+            return False
         rule = self._rule
         towards = score < rule.off if self.active else score >= rule.on
         back = score >= rule.on if self.active else score < rule.off
@@ -110,7 +113,7 @@ class _Smoothed:
         self._unknown = 0.0
         self._patience = rule.unknown_time
 
-    def update(self, score: float, weight: float, elapsed: float) -> bool:
+    def update(self, score: float, weight: float, elapsed: float, seen: bool = True) -> bool:
         if math.isnan(score):
             self._unknown += elapsed
             if self._unknown > self._patience:
@@ -118,7 +121,7 @@ class _Smoothed:
             return self.latch.update(_UNKNOWN, elapsed)
         self._unknown = 0.0
         self.score = score if math.isnan(self.score) else self.score + weight * (score - self.score)
-        return self.latch.update(self.score, elapsed)
+        return self.latch.update(self.score, elapsed, seen)
 
 
 class _WristSpeed:
@@ -157,15 +160,19 @@ class AttitudeEstimator:
         """Whether the left and the right hand are raised."""
         return self._raised[0].latch.active, self._raised[1].latch.active
 
-    def update(self, features: ArmFeatures, elapsed: float, sure: Tuple[bool, bool] = (True, True)) -> AttitudeClass:
+    def update(self, features: ArmFeatures, elapsed: float, sure: Tuple[bool, bool] = (True, True),
+               seen: Tuple[bool, bool] = (True, True)) -> AttitudeClass:
         """Take the arms `elapsed` s after the last call; return the attitude and keep it with its confidence.
 
         sure: whether elbow and wrist of the left and right arm are seen: a guessed hand is often put before the face.
+        seen: whether the left and right wrist are of this look, not remembered: a raised hand begins with one that is
+        seen in two looks in turn, since of people close to each other one often has a neighbour's hand for one look.
+        Folded arms hide their own wrists.
         """
         weight = 1.0 - math.exp(-elapsed / _SMOOTHING_S)
         near = [face_score(features, side) if sure[side] else _UNKNOWN for side in (0, 1)]
         raised = [self._raised[side].update(_but_not(raised_score(features, side), near_face_score(features, side)),
-                                            weight, elapsed) for side in (0, 1)]
+                                            weight, elapsed, seen[side]) for side in (0, 1)]
         crossed = crossed_score(features, self._speed.update(features, elapsed))
         active = {
             AttitudeClass.HANDS_ON_FACE: self._face.update(_highest(*near), weight, elapsed),

@@ -109,11 +109,12 @@ class BehaviourRecognizer:
             return self._result
         self._last = stamp
         self._drop_guessed_knees(points, confidence, elapsed)
+        seen = math.isfinite(points[LEFT_WRIST, 0]), math.isfinite(points[RIGHT_WRIST, 0])
         points = self._hold.fill(points, stamp)
         axes = trunk_axes(points, upwards)
         features = arm_features(points, stature, upwards, axes, hands, depth_counts)
         sure = _sure_forearms(confidence)
-        attitude = self._attitude.update(features, elapsed, sure)
+        attitude = self._attitude.update(features, elapsed, sure, seen)
         waving = self._waves.update(features, elapsed, sure)
         guessed = self._legs.update(trunk, score, elapsed)
         posture = self._posture.update(
