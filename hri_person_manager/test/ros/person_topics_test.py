@@ -13,6 +13,7 @@ from hri_msgs.msg import IdsList
 from hri_person_manager.core.persons import PersonState, Snapshot
 from hri_person_manager.core.register import PersonRegister
 from hri_person_manager.ros.topics import PersonTopics
+from hri_pipeline.ros.rospy_compat import prepare_rospy
 from hri_pipeline.testing import wait_for, without_descriptors
 
 
@@ -80,5 +81,6 @@ class PersonTopicsTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
+    prepare_rospy()     # as all nodes do: a connection that found no descriptor would end rospy's server for good
     rospy.init_node("person_topics_test")
     rostest.rosrun("hri_person_manager", "person_topics", PersonTopicsTest)
