@@ -39,7 +39,7 @@ import numpy as np
 
 from hri_person_manager.core.features import MatchNode, PlaceSource
 from hri_person_manager.core.sensors import LONGEST_PERIOD_S, CameraMotion, SensorTimes
-from hri_person_manager.core.triangulation import aged, aged_upright
+from hri_person_manager.core.triangulation import aged, aged_in
 from hri_pipeline.core.frames import is_optical
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.timing import JUMP_BACK_S
@@ -199,9 +199,7 @@ def aged_place(place: Place, elapsed: float) -> Place:
     """Return the place with the covariance of `elapsed` s later."""
     if place.covariance is None:
         return place
-    # A camera may be tilted by any angle, so that none of its axes is the vertical.
-    grow = aged if place.is_optical else aged_upright
-    return replace(place, covariance=grow(place.covariance, elapsed))
+    return replace(place, covariance=aged_in(place.covariance, elapsed, place.is_optical))
 
 
 def is_at(one: Place, other: Place, gate: float) -> bool:

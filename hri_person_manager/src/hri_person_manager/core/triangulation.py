@@ -138,10 +138,12 @@ def aged(covariance: np.ndarray, elapsed: Union[float, np.ndarray]) -> np.ndarra
     return covariance + np.asarray(spread)[..., None, None] * _EYE
 
 
-def aged_upright(covariance: np.ndarray, elapsed: float) -> np.ndarray:
-    """Return the same of one place (3, 3) in a frame whose z points up: people walk away to the sides only."""
+def aged_in(covariance: np.ndarray, elapsed: float, optical: bool) -> np.ndarray:
+    """Return the same of one place (3, 3): in a frame whose z points up people walk away to the sides only. optical:
+    the frame is a camera's, which may be tilted by any angle, so that none of its axes is the vertical."""
     grown = aged(covariance, elapsed)
-    grown[2, 2] = min(grown[2, 2], covariance[2, 2] + HEIGHT_CHANGED_M ** 2)
+    if not optical:
+        grown[2, 2] = min(grown[2, 2], covariance[2, 2] + HEIGHT_CHANGED_M ** 2)
     return grown
 
 

@@ -30,7 +30,7 @@ from tornado.web import Application, HTTPError, RequestHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from hri_person_manager.core.display import CameraStatus
-from hri_person_manager.core.triangulation import aged, aged_upright
+from hri_person_manager.core.triangulation import aged_in
 from hri_person_manager.core.web import (
     ACTION_HEADER,
     CONTENT_POLICY,
@@ -168,9 +168,9 @@ class PeopleView:
         level, confidence, location = person.engagement, person.location_confidence, person.location
         place = None
         if confidence > 0.0 and location is not None:
-            grow = aged if is_optical(location.frame) or location.frame == self._pictures.frame else aged_upright
             # Of a paused bag no place comes, but nobody walks either.
-            place = replace(location, covariance=grow(location.covariance, min(person.location_age, LONGEST_AGE_S)))
+            place = replace(location, covariance=aged_in(
+                location.covariance, min(person.location_age, LONGEST_AGE_S), self._is_camera(location.frame)))
         return PersonOnPage(
             person.id, person.name, person.anonymous, time.monotonic() - self._came.get(person.id, time.monotonic()),
             "" if level == Engagement.UNKNOWN else level.name.lower(),
@@ -185,7 +185,11 @@ class PeopleView:
         if not robot or not frame or self._robot is None:
             return None
         pose = self._robot.between(frame, robot, rospy.Time())
-        return None if pose is None else (frame, pose, is_optical(robot) or robot == self._pictures.frame)
+        return None if pose is None else (frame, pose, self._is_camera(robot))
+
+    def _is_camera(self, frame: str) -> bool:
+        """Tell whether a frame is optical: the pictures' is, whatever its name says."""
+        return is_optical(frame) or frame == self._pictures.frame
 
     def _camera(self) -> str:
         """Return why there is no picture, empty while there is one."""

@@ -191,9 +191,9 @@ def _upside_down(crop: np.ndarray, part: Sequence[float]) -> np.ndarray:
     """Return a crop (S, S, 3) with a part of it upside down; part: top, bottom, left, right, in sides of the crop."""
     height, width = crop.shape[:2]
     top, bottom, left, right = (int(share * side) for share, side in zip(part, (height, height, width, width)))
-    crop = crop.copy()
-    crop[top:bottom, left:right] = crop[top:bottom, left:right][::-1].copy()
-    return crop
+    turned = crop.copy()
+    turned[top:bottom, left:right] = crop[top:bottom, left:right][::-1]
+    return turned
 
 
 def load_face_embedder(configured: str = "", providers: Sequence[str] = ("cpu",),

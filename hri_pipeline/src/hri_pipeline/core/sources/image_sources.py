@@ -7,7 +7,6 @@ nothing is drawn while nobody looks. Time is an argument: seconds since the sour
 from __future__ import annotations
 
 import math
-import re
 from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Callable, Optional, Sequence, Tuple
@@ -16,6 +15,7 @@ import cv2
 import numpy as np
 
 from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.sources import in_reading_order
 from hri_pipeline.core.sources.parameters import CROP, FIT_CHOICES, LETTERBOX, NATIVE, ImageSourceSettings
 
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
@@ -197,16 +197,10 @@ def _no_camera(device: str) -> str:
     return "no camera {}: {}; connect it, or give {}".format(device, there, CHOICE_OF_SOURCES)
 
 
-def _in_reading_order(path: Path) -> list:
-    """Sort key: picture2 comes before picture10."""
-    return [(0, int(part), "") if part.isdecimal() else (1, 0, part.lower())
-            for part in re.split(r"(\d+)", path.name) if part]
-
-
 def pictures_in(directory: Path) -> list:
     """Return the picture files of a directory in reading order. Raises SourceError when there is none."""
     paths = sorted((path for path in directory.iterdir() if path.suffix.lower() in PICTURE_SUFFIXES),
-                   key=_in_reading_order)
+                   key=in_reading_order)
     if not paths:
         raise SourceError("directory {} holds no picture ({}); give another, or put some there".format(
             directory, " ".join(PICTURE_SUFFIXES)))

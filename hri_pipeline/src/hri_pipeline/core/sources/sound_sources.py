@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import select
 import shutil
 import subprocess
@@ -18,6 +17,7 @@ import soxr
 
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.process import ends_with_parent
+from hri_pipeline.core.sources import in_reading_order
 from hri_pipeline.core.sources.parameters import SoundSourceSettings
 
 SOUND_SUFFIXES = (".wav", ".flac", ".ogg", ".oga", ".opus", ".mp3", ".aif", ".aiff", ".au", ".w64", ".caf", ".raw")
@@ -216,9 +216,8 @@ def sounds_in(directory: Path) -> List[Path]:
 
     Raises SoundSourceError when there is none.
     """
-    paths = sorted((path for path in directory.iterdir() if path.suffix.lower() in SOUND_SUFFIXES), key=lambda path: [
-        (0, int(part), "") if part.isdecimal() else (1, 0, part.lower())
-        for part in re.split(r"(\d+)", path.name) if part])
+    paths = sorted((path for path in directory.iterdir() if path.suffix.lower() in SOUND_SUFFIXES),
+                   key=in_reading_order)
     if not paths:
         raise SoundSourceError("directory {} holds no sound file ({}); give another, or put some there".format(
             directory, " ".join(SOUND_SUFFIXES)))
