@@ -5,10 +5,10 @@ import itertools
 import pytest
 
 from hri_person_manager.core.features import Kind, MatchNode
-from hri_person_manager.core.location import Proxemics, Space
 from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import CandidateMatch, MatchGuard
 from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
+from hri_person_manager.core.proxemics import Proxemics, Space
 
 FACE, BODY = MatchNode(Kind.FACE, "face1"), MatchNode(Kind.BODY, "body1")
 

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hri_person_manager.core.location import Place, Proxemics, Space, horizontal_distance
+from hri_person_manager.core.location import Place
+from hri_person_manager.core.proxemics import Proxemics, Space, horizontal_distance
 from hri_pipeline.core.geometry import Pose
 
 

@@ -4,8 +4,6 @@
 face, else at the skeleton frame closest to the head, else at the best guess. 3. No such place, but located before: the
 last place, with a confidence below 1 that decays, until it reaches 0. 4. Never located: confidence 0 and no frame.
 
-`Proxemics` tells how near a person is: the spaces of E. T. Hall, The Hidden Dimension (1966), as REP-155 names them.
-
 When the face of a person disappears, the body takes over, without a pause and without a jump (`FaceBodyTransition`).
 
 Stamps are times of measurements; they tell how old a place is. `now` is the time at which a place arrives; it tells
@@ -18,7 +16,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field, replace
-from enum import Enum
 from typing import (
     Callable,
     Container,
@@ -27,7 +24,6 @@ from typing import (
     Hashable,
     Iterable,
     List,
-    Mapping,
     NamedTuple,
     Optional,
     Sequence,
@@ -548,64 +544,3 @@ def _is_active(report: _LastReport, stamp: float, now: float, patience: float) -
     if not -JUMP_BACK_S <= silence <= max(report.fresh, patience):
         return False
     return silence <= patience or stamp - report.stamp <= patience
-
-
-HYSTERESIS_M = 0.1
-
-
-class Space(Enum):
-    """Name of the list of persons in each space."""
-
-    PERSONAL = "in_personal_space"
-    SOCIAL = "in_social_space"
-    PUBLIC = "in_public_space"
-
-
-def horizontal_distance(place: Place, origin: np.ndarray) -> float:
-    """Return the horizontal distance (m) of a place from `origin` (3,), m in the frame of the place.
-
-    How high a face or a camera is does not matter.
-    """
-    x, y, z = (place.pose.translation - origin).tolist()
-    return math.hypot(x, z if place.is_optical else y)
-
-
-class Proxemics:
-    """Sorts persons by distance; one who stands on a border does not go to and fro."""
-
-    def __init__(self, personal: float = 1.2, social: float = 3.6) -> None:
-        """Take the borders, as set_borders() does."""
-        self.set_borders(personal, social)
-        self._space: Dict[str, Space] = {}
-
-    def set_borders(self, personal: float, social: float) -> None:
-        """Set the outer borders (m) of the personal and the social space; ValueError unless 0 < personal < social."""
-        if not 0.0 < personal < social:
-            raise ValueError("personal_distance is %s m and social_distance %s m, wanted 0 < personal < social" % (
-                personal, social))
-        self._borders = (personal, social)
-
-    def update(self, distances: Mapping[str, float]) -> Dict[Space, List[str]]:
-        """Return who is in which space; `distances` (m) of all persons whose place is known."""
-        self._space = {person_id: self._sort(self._space.get(person_id), distance)
-                       for person_id, distance in distances.items()}
-        return {space: self._members(space) for space in Space}
-
-    def _members(self, space: Space) -> List[str]:
-        return sorted(person_id for person_id, found in self._space.items() if found == space)
-
-    def _sort(self, before: Optional[Space], distance: float) -> Space:
-        spaces = list(Space)
-        margins = self._margins(spaces, before)
-        for space, border, margin in zip(spaces, self._borders, margins):
-            if distance < border + margin:
-                return space
-        return Space.PUBLIC
-
-    def _margins(self, spaces: Iterable[Space], before: Optional[Space]) -> List[float]:
-        """Shift of each border (m): away from a person who was on one side of it."""
-        if before is None:
-            return [0.0, 0.0]
-        order = list(spaces)
-        place = order.index(before)
-        return [HYSTERESIS_M if place <= index else -HYSTERESIS_M for index in range(2)]

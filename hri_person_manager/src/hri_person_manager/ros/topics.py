@@ -19,9 +19,10 @@ from std_msgs.msg import Bool, Float32, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from hri_msgs.msg import AgeAndGender
-from hri_person_manager.core.location import Place, Proxemics, Space, horizontal_distance
+from hri_person_manager.core.location import Place
 from hri_person_manager.core.parameters import PersonManagerSettings
 from hri_person_manager.core.persons import PersonState, Snapshot
+from hri_person_manager.core.proxemics import Proxemics, Space, horizontal_distance
 from hri_person_manager.core.register import DemographicsEstimate, PersonRegister
 from hri_person_manager.core.triangulation import ellipse
 from hri_person_manager.ros.inputs import ALONG, TfInput
