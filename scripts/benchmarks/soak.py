@@ -42,11 +42,12 @@ Row = Mapping[str, object]
 
 
 class Grown(NamedTuple):
-    """One process: memory at the end (MB), its slope (MB/h), growth of descriptors and threads, mean use of a core
-    (%)."""
+    """One process: memory at the end (MB), its slope and the least that the slope is with 97.5 % certainty (MB/h),
+    growth of descriptors and threads, mean use of a core (%)."""
 
     rss_mb: float
     rss_mb_per_h: float
+    rss_mb_per_h_least: float
     fds: float
     threads: float
     cpu_percent: float
@@ -71,17 +72,17 @@ class LeastMemory:
         return min(rss_mb, self._least.pop(pid, rss_mb))
 
 
-def slope(times: Sequence[float], values: Sequence[float]) -> float:
-    """Return the Theil-Sen slope, the median of the slopes of all pairs: up to 29 % of outliers do not move it far.
+def slope(times: Sequence[float], values: Sequence[float]) -> Tuple[float, float]:
+    """Return the Theil-Sen slope, the median of the slopes of all pairs, and the lower end of its 95 % interval.
 
-    P. K. Sen, "Estimates of the regression coefficient based on Kendall's tau", J. Am. Stat. Assoc. 63, 1968.
-    ValueError when there are fewer than two different times.
+    Up to 29 % of outliers do not move it far. P. K. Sen, "Estimates of the regression coefficient based on Kendall's
+    tau", J. Am. Stat. Assoc. 63, 1968. ValueError when there are fewer than two different times.
     """
-    slopes = [(values[later] - values[earlier]) / (times[later] - times[earlier])
-              for later in range(len(times)) for earlier in range(later) if times[later] != times[earlier]]
-    if not slopes:
+    from scipy.stats import theilslopes
+    if len(set(times)) < 2:
         raise ValueError("a slope needs two different times")
-    return median(slopes)
+    found = theilslopes(values, times, 0.95)
+    return float(found[0]), float(found[2])
 
 
 def growth(values: Sequence[float]) -> float:
@@ -123,7 +124,7 @@ def grown(rows: Iterable[Row]) -> Dict[Tuple[str, str], Grown]:
         columns = {name: [float(row[name]) for row in kept]
                    for name in ("minutes", "rss_mb", "fds", "threads", "cpu_percent")}
         found[key] = Grown(median(columns["rss_mb"][-max(1, len(kept) // 5):]),
-                           60.0 * slope(columns["minutes"], columns["rss_mb"]),
+                           *(60.0 * one for one in slope(columns["minutes"], columns["rss_mb"])),
                            floor_growth(columns["fds"]), floor_growth(columns["threads"]),
                            sum(columns["cpu_percent"]) / len(kept))
     return found
@@ -158,11 +159,13 @@ def figures(rows: Sequence[Row]) -> Tuple[Dict[str, object], Dict[str, str]]:
     minutes = max((float(row["minutes"]) for row in rows), default=0.0)
     if minutes < LEAST_MINUTES or not found:
         why = "measured for {:.1f} min; {:g} are needed".format(minutes, LEAST_MINUTES)
-        return {}, {name: why for name in ("rss_mb_per_h", "master_mb_per_h", "fds_growth", "threads_growth",
-                                           "parameters_growth", "restarted", "flat")}
-    ours, masters = ([one.rss_mb_per_h for (_, name), one in found.items() if (name == MASTER) is is_master]
+        return {}, {name: why for name in ("rss_mb_per_h", "rss_mb_per_h_least", "master_mb_per_h", "fds_growth",
+                                           "threads_growth", "parameters_growth", "restarted", "flat")}
+    ours, masters = ([one for (_, name), one in found.items() if (name == MASTER) is is_master]
                      for is_master in (False, True))
-    return {"rss_mb_per_h": round(max(ours, default=0.0), 2), "master_mb_per_h": round(max(masters, default=0.0), 2),
+    return {"rss_mb_per_h": round(max((one.rss_mb_per_h for one in ours), default=0.0), 2),
+            "rss_mb_per_h_least": round(max((one.rss_mb_per_h_least for one in ours), default=0.0), 2),
+            "master_mb_per_h": round(max((one.rss_mb_per_h for one in masters), default=0.0), 2),
             "fds_growth": max(one.fds for one in found.values()),
             "threads_growth": max(one.threads for one in found.values()),
             "parameters_growth": graph_growth(rows, "parameters"), "restarted": restarted(rows)}, {}
@@ -187,10 +190,10 @@ def churn(rows: Sequence[Row]) -> Dict[str, object]:
 
 def process_table(rows: Sequence[Row]) -> str:
     """Return memory, its slope, descriptors, threads and use of the processor of each process that stays."""
-    lines = ["{:10} {:24} {:>9} {:>9} {:>8} {:>8} {:>7}".format("graph", "process", "MB at end", "MB per h", "fds",
-                                                                "threads", "CPU %")]
+    lines = ["{:10} {:24} {:>9} {:>9} {:>9} {:>8} {:>8} {:>7}".format("graph", "process", "MB at end", "MB per h",
+                                                                      "at least", "fds", "threads", "CPU %")]
     for (world, name), one in sorted(grown(rows).items()):
-        lines.append("{:10} {:24} {:9.1f} {:+9.2f} {:+8.0f} {:+8.0f} {:7.1f}".format(world, name, *one))
+        lines.append("{:10} {:24} {:9.1f} {:+9.2f} {:+9.2f} {:+8.0f} {:+8.0f} {:7.1f}".format(world, name, *one))
     return "\n".join(lines)
 
 
@@ -237,6 +240,7 @@ def read(path: Path) -> List[Row]:
 KEYS = (
     ("flat", "yes: all below", lambda value: value is True),
     ("rss_mb_per_h", "<= {:g}, every process".format(RSS_MB_PER_H), lambda value: value <= RSS_MB_PER_H),
+    ("rss_mb_per_h_least", "told: above {:g} it is certain".format(RSS_MB_PER_H), lambda value: True),
     ("master_mb_per_h", "told: it keeps every topic name", lambda value: True),
     ("fds_growth", "<= {}, every process".format(FDS), lambda value: value <= FDS),
     ("threads_growth", "<= {}, every process".format(THREADS), lambda value: value <= THREADS),

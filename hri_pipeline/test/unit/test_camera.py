@@ -112,6 +112,20 @@ def test_the_skew_of_k_counts_both_ways(model, distortion):
     np.testing.assert_allclose(skewed.normalise(expected), [[0.3, 0.2]], atol=1e-6)
 
 
+@pytest.mark.parametrize("distortion", [
+    (.1, -.05, .001, -.002), (.1, -.05, .001, -.002, .01), (.4, .1, .001, -.002, .01, .5, .2, .02),
+    (.1, -.05, .001, -.002, .01, 0., 0., 0., .01, -.02, .03, .04),
+    (.1, -.05, .001, -.002, .01, .3, .1, .02, .01, -.02, .03, .04, .05, -.04)])
+def test_many_points_at_once_are_seen_where_each_is_seen_alone(distortion):
+    camera = CameraModel(1280, 720, np.array([[900.0, 3.0, 650.0], [0.0, 910.0, 350.0], [0.0, 0.0, 1.0]]),
+                         np.array(distortion), "rational_polynomial", Calibration.CALIBRATED)
+    points = np.random.default_rng(5).uniform((-0.6, -0.4, 1.0), (0.6, 0.4, 2.0), (300, 3))
+    points[7], points[11, 2] = np.nan, -1.0
+    alone = np.concatenate([camera.project(point[None]) for point in points])
+    np.testing.assert_allclose(camera.project(points), alone, atol=1e-9)
+    assert np.isnan(alone[[7, 11]]).all() and np.isfinite(np.delete(alone, [7, 11], axis=0)).all()
+
+
 def test_without_distortion_it_is_a_pinhole():
     for distortion in ([], [0.0] * 5):
         np.testing.assert_allclose(camera(distortion=distortion).normalise([[821.5, 748.5]]), [[1.0, 1.0]])

@@ -202,8 +202,9 @@ def test_a_few_items_run_on_the_cpu_beside_a_gpu_while_that_is_as_fast(doubler, 
         np.testing.assert_array_equal(model.run({"x": x})["y"], 2 * x)
         expected = [count] if count <= few else [3] if count <= 3 else [6] if count <= 6 else [6, 3]
         assert sessions.batches == expected
+        assert model.runs_on_card(count) == (count > few)
     plain = machine("CPUExecutionProvider")
-    OnnxModel(doubler, ["cpu"], few_on_cpu=True)
+    assert not OnnxModel(doubler, ["cpu"], few_on_cpu=True).runs_on_card(9)
     assert len(plain.asked) == 1
 
 
@@ -269,7 +270,7 @@ def test_a_gpu_that_fails_while_it_runs_is_given_up_for_the_cpu_without_losing_a
     assert (model.provider, model.on_card, model.threads) == ("cpu", False, threads)
     assert log.summary == "cpu: doubler" and log.inferences == {"doubler": 39}
     del sessions.batches[:], told[:]
-    prepared, found = model.run_items(list(x), lambda item, place: np.copyto(place, item), np.empty_like(x))
+    prepared, found = model.run_items(list(x), lambda item, place: np.copyto(place, item))
     np.testing.assert_array_equal(found["y"], 2 * x)
     assert sessions.batches == [6, 6] and not told, "shared by the threads as on any CPU, and the card is left alone"
     threads.close()
@@ -328,10 +329,26 @@ def test_threads_prepare_items_and_divide_the_batch_on_a_cpu_only(doubler, machi
         place[:] = item
         return -item
 
-    prepared, found = model.run_items([3, 1, 4, 5], prepare, np.empty((6, 2), np.float32)[:4])
+    prepared, found = model.run_items([3, 1, 4, 5], prepare)
     threads.close()
     assert prepared == [-3, -1, -4, -5] and sorted(sessions.batches) == sorted(batches)
     np.testing.assert_array_equal(found["y"], [[6, 6], [2, 2], [8, 8], [10, 10]])
+
+
+@pytest.mark.parametrize(("count", "batches"), [(1, [1]), (2, [4]), (9, [12]), (12, [12]), (15, [12, 4])])
+def test_items_are_written_into_a_batch_that_is_filled_up_for_a_gpu_and_not_copied(
+        doubler, machine, monkeypatch, count, batches):
+    sessions, log, fed = machine("CUDAExecutionProvider"), ModelLog(lambda text: None), []
+    monkeypatch.setattr(OnnxModel, "_seconds", lambda self, session, size: 1.0)
+    model = OnnxModel(doubler, ["cuda"], notify=log, few_on_cpu=True)
+    del sessions.batches[:]
+    for last in (count, count - 1, count) if count > 2 else (count,):
+        del sessions.batches[:]
+        prepared, found = model.run_items(range(last), lambda item, place: fed.append(place) or place.fill(item))
+        assert len(prepared) == len(found["y"]) == last and found["y"][:, 0].tolist() == [2.0 * i for i in range(last)]
+    assert sessions.batches == batches
+    assert len({place.base.ctypes.data for place in fed}) == 1, "the same memory each time"
+    assert log.inferences == {"doubler": sum((count, count - 1, count) if count > 2 else (count,))}
 
 
 @pytest.mark.parametrize(("provider", "batches"), [("CPUExecutionProvider", [2, 2, 1]),

@@ -395,6 +395,47 @@ def test_threads_that_come_later_count_from_the_next_image_on():
     assert (schedule.threads, len(choose(schedule, FACES, 1.04))) == (2, 8)
 
 
+def on_a_card(schedule, count, seconds, rest=0.016, begin=0.0, age=0.005):
+    """Let a network run that takes 8 ms and .7 ms for each face; how many got it in each image of 30 a second."""
+    looks = []
+    schedule.share_among(ONE_THREAD, together=True)
+    for step in range(int(seconds * 30)):
+        looks.append(len(choose(schedule, FACES[:count], begin + step / 30.0)))
+        took = 0.008 + 0.0007 * looks[-1] if looks[-1] else 0.0
+        schedule.spent(took, looks[-1])
+        schedule.note_timing(age, rest)
+    return looks
+
+
+def test_on_a_card_all_come_in_every_second_image():
+    """One by one ten faces got 5.5 looks a second: of two in each image one took 5 ms, and there was no time for
+    more."""
+    schedule = faces_node(Machine(16), 10)[0]
+    looks = on_a_card(schedule, 10, 5.0)
+    assert set(looks) == {0, 10}
+    assert looks[-60:].count(10) == pytest.approx(20, abs=1), "ten times a second without idle time that is known"
+    machine = Machine(16)
+    schedule = faces_node(machine, 10)[0]
+    looks = []
+    for second in range(8):
+        machine.now, machine.idle = float(second), 15.0 * second
+        looks += on_a_card(schedule, 10, 1.0, begin=float(second))
+    assert looks[-30:].count(10) == pytest.approx(15, abs=1), "as much as there is time for, but not in each image"
+
+
+def test_on_a_card_time_for_all_is_saved_up_and_nobody_is_left_out():
+    schedule = InferenceScheduler(10.0, 0.003, cost=0.0015)
+    looks = on_a_card(schedule, 10, 4.0)
+    assert set(looks) == {0, 10} and looks.count(10) == pytest.approx(4.0 * 30 * 3 / 15, abs=2), "15 ms of 3 an image"
+
+
+def test_on_a_card_an_image_that_is_old_gets_none_unless_nobody_had_a_turn_for_long():
+    schedule = InferenceScheduler(10.0, 0.010, cost=0.0015, max_age=0.1)
+    on_a_card(schedule, 10, 2.0)
+    looks = on_a_card(schedule, 10, 3.0, begin=2.0, age=0.2)
+    assert looks.count(10) == pytest.approx(3.0 / 0.5, abs=1)
+
+
 def test_the_cost_is_the_time_of_all_threads():
     threads = Threads(3)
     schedule = InferenceScheduler(cost=0.02, threads=threads)

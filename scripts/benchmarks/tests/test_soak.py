@@ -27,7 +27,7 @@ def samples(per_hour=0.0, fds=20, pids=(7,), minutes=60.0, parameters=30):
 def test_the_slope_of_a_line_with_outliers():
     times = [0.5 * number for number in range(40)]
     values = [3.0 * time + (500.0 if number % 5 == 0 else 0.0) for number, time in enumerate(times)]
-    assert slope(times, values) == pytest.approx(3.0, abs=0.5)
+    assert slope(times, values)[0] == pytest.approx(3.0, abs=0.5)
     with pytest.raises(ValueError):
         slope([1.0, 1.0], [1.0, 2.0])
 
@@ -42,8 +42,16 @@ def test_memory_that_is_handed_back_every_20_s_has_no_slope():
             seen.append(held(at))
     assert max(seen) - min(seen) > 35.0
     assert all(200.0 <= least < 204.0 for _, least in told), "of the last half minute, not of all before"
-    assert abs(3600.0 * slope(*zip(*told))) < 5.0
+    assert abs(3600.0 * slope(*zip(*told))[0]) < 5.0
     assert memory.take(8, 90.0) == 90.0 and memory.take(7, 500.0) == 500.0
+
+
+def test_how_certain_a_slope_is():
+    times = [0.5 * number for number in range(40)]
+    wavering = [40.0 * (number * 7 % 11) for number in range(40)]
+    risen, least = slope(times, [3.0 * time + by for time, by in zip(times, wavering)])
+    assert least < 2.0 < risen, "a memory that wavers says little in 20 minutes"
+    assert slope(times, [3.0 * time for time in times]) == pytest.approx((3.0, 3.0))
 
 
 def test_growth_is_that_of_the_ends():
@@ -62,8 +70,8 @@ def test_those_who_are_there_count_as_growth_only_when_they_leave_something():
 def test_the_warm_up_does_not_count():
     assert min(row["minutes"] for row in settled(samples())) == 30.0
     values, reasons = figures(samples())
-    assert values == {"rss_mb_per_h": 0.0, "master_mb_per_h": 0.0, "fds_growth": 0, "threads_growth": 0,
-                      "parameters_growth": 0, "restarted": []}
+    assert values == {"rss_mb_per_h": 0.0, "rss_mb_per_h_least": 0.0, "master_mb_per_h": 0.0, "fds_growth": 0,
+                      "threads_growth": 0, "parameters_growth": 0, "restarted": []}
     assert reasons == {}
 
 

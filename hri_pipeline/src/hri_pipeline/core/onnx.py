@@ -6,8 +6,9 @@ import ctypes
 import os
 import threading
 import time
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Callable, Dict, List, Optional, Sequence, Set, Tuple, TypeVar, Union
+from typing import Callable, Dict, Iterator, List, Optional, Sequence, Set, Tuple, TypeVar, Union
 
 import numpy as np
 import onnxruntime
@@ -214,6 +215,7 @@ class OnnxModel:
         self._shaped: Dict[Tuple[int, ...], onnxruntime.InferenceSession] = {}
         self._beside: Optional[onnxruntime.InferenceSession] = None
         self._few = 0
+        self._kept: List[np.ndarray] = []
         self._lost: List[object] = []
         self._preparing = threading.Lock()
         if self.on_card:
@@ -224,8 +226,12 @@ class OnnxModel:
         """Whether it runs on a GPU."""
         return self.provider in ("cuda", "tensorrt")
 
-    def run_items(self, items: Sequence[Item], prepare: Callable[[Item, np.ndarray], Result],
-                  batch: np.ndarray) -> Tuple[List[Result], Dict[str, np.ndarray]]:
+    def runs_on_card(self, count: int) -> bool:
+        """Whether so many items run on a GPU: a few may be faster on the CPU."""
+        return self.on_card and count > self._few
+
+    def run_items(self, items: Sequence[Item], prepare: Callable[[Item, np.ndarray], Result]
+                  ) -> Tuple[List[Result], Dict[str, np.ndarray]]:
         """Prepare items and run the model on them, shared by its threads; on a GPU they only prepare.
 
         Parameters
@@ -233,9 +239,7 @@ class OnnxModel:
         items : sequence
             At least one.
         prepare : callable
-            Writes an item into its place of the batch; several threads call it.
-        batch : numpy.ndarray
-            (len(items), ...), the input.
+            Writes an item into its place of the batch, the only input; several threads call it.
 
         Returns
         -------
@@ -250,21 +254,45 @@ class OnnxModel:
             As `run`.
         """
         name = self.input_names[0]
-
-        def fill(part: Sequence[int]) -> List[Result]:
-            return [prepare(items[index], batch[index]) for index in part]
-
-        def fill_and_run(part: Sequence[int]) -> List[Tuple[Result, Dict[str, np.ndarray]]]:
-            prepared, found = fill(part), self.run({name: batch[part[0]:part[-1] + 1]})
-            return [(one, {key: value[i:i + 1] for key, value in found.items()}) for i, one in enumerate(prepared)]
-
         numbers = range(len(items))
-        if self.threads.count == 1:
-            return self._all_threads.in_parts(fill, numbers), self.run({name: batch[:len(items)]})
-        done = self.threads.in_parts(fill_and_run, numbers)
+        with self._places(self._filled_up(len(items))) as batch:
+            def fill(part: Sequence[int]) -> List[Result]:
+                return [prepare(items[index], batch[index]) for index in part]
+
+            def fill_and_run(part: Sequence[int]) -> List[Tuple[Result, Dict[str, np.ndarray]]]:
+                prepared, found = fill(part), self.run({name: batch[part[0]:part[-1] + 1]})
+                return [(one, {key: value[i:i + 1] for key, value in found.items()}) for i, one in enumerate(prepared)]
+
+            if self.threads.count == 1:
+                return self._all_threads.in_parts(fill, numbers), self.run({name: batch}, count=len(items))
+            done = self.threads.in_parts(fill_and_run, numbers)
         return [one for one, _ in done], {key: np.concatenate([found[key] for _, found in done]) for key in done[0][1]}
 
-    def run(self, feed: Dict[str, np.ndarray], outputs: Optional[Sequence[str]] = None) -> Dict[str, np.ndarray]:
+    @contextmanager
+    def _places(self, count: int) -> Iterator[np.ndarray]:
+        """An array for so many items, which is kept for the next batch: to fill new memory takes longer than the
+        rest."""
+        try:
+            kept = self._kept.pop()
+        except IndexError:      # the first one, or another thread has it
+            kept = np.empty(0)
+        if len(kept) < count:
+            tensor = self._session.get_inputs()[0]
+            kept = np.zeros([count] + list(tensor.shape[1:]), _TYPES.get(tensor.type, np.float32))
+        try:
+            yield kept[:count]
+        finally:
+            self._kept.append(kept)
+
+    def _filled_up(self, count: int) -> int:
+        """Length of the batch that `count` items are run in."""
+        if not self._batched or count <= self._few:
+            return count
+        last = (count - 1) % self._sizes[-1] + 1
+        return count - last + next(size for size in self._sizes if size >= last)
+
+    def run(self, feed: Dict[str, np.ndarray], outputs: Optional[Sequence[str]] = None,
+            count: Optional[int] = None) -> Dict[str, np.ndarray]:
         """Run the model.
 
         Parameters
@@ -273,11 +301,13 @@ class OnnxModel:
             Arrays by the names of inputs.
         outputs : sequence of str, optional
             Names of the wanted outputs, instead of those named at the begin.
+        count : int, optional
+            How many of the batch are items, the first ones; by default all.
 
         Returns
         -------
         dict of str to numpy.ndarray
-            Arrays by the names of outputs.
+            Arrays by the names of outputs, of the items.
 
         Raises
         ------
@@ -292,8 +322,8 @@ class OnnxModel:
             raise ModelError("model {} refused input {}: {}".format(
                 self._path, shapes, first_line(error))) from error
         if self._log is not None:
-            self._log.count(self.name, len(next(iter(feed.values()))))
-        return dict(zip(wanted, values))
+            self._log.count(self.name, len(next(iter(feed.values()))) if count is None else count)
+        return dict(zip(wanted, values if count is None else [value[:count] for value in values]))
 
     def _run(self, feed: Dict[str, np.ndarray], wanted: List[str]) -> List[np.ndarray]:
         """Run on the provider; where it fails, and the CPU does not, on the CPU from now on."""

@@ -39,6 +39,8 @@ _SLOW_STEP = 0.2
 """Time between two images (s) from which the budget grows with it: who is not measured for seconds would be lost."""
 _LONGEST_WAIT = 0.5
 """Time (s) after which everybody gets an inference although the image is old: who is not seen for longer is lost."""
+_TOGETHER = 0.5
+"""Part of the images in which a graphics card, on which all come together, gets work."""
 _LONGEST_STEP = 1.0
 """Time between two images (s) above which no more is earned."""
 _FIRST_STEP = 1.0 / 30.0
@@ -149,6 +151,7 @@ class InferenceScheduler:
         processor time, s; by default that of these threads.
         """
         self._cost, self._batches, self._idle, self._threads = cost, batches, idle, threads
+        self._together = False
         self._clock = clock or threads.time
         self.limit(rate, budget, most, max_age)
         self.reset()
@@ -212,9 +215,13 @@ class InferenceScheduler:
         """How many threads share the inferences of an image."""
         return self._threads.count
 
-    def share_among(self, threads: Threads) -> None:
-        """Let other threads share the inferences of an image from now on, as where a graphics card has failed."""
-        self._threads = threads
+    def share_among(self, threads: Threads, together: bool = False) -> None:
+        """Let other threads share the inferences of an image from now on, as where a graphics card has failed.
+
+        together: an inference of all takes hardly longer than one of a few, as on a card. All get theirs in the same
+        image then, the next one goes without, and is published the sooner.
+        """
+        self._threads, self._together = threads, together
 
     @property
     def spare(self) -> float:
@@ -252,7 +259,8 @@ class InferenceScheduler:
         self._admit(requests, stamp, periods)
         due = self._due(requests, stamp, periods)
         least = int(math.ceil(len(requests) * step / _LONGEST_WAIT - 1e-6))
-        chosen = due[:self._affordable(len(due), step, extra, reserved, least)]
+        chosen = due[:self._all_or_none(len(due), step, extra) if self._together else
+                     self._affordable(len(due), step, extra, reserved, least)]
         for name in chosen:
             self._deadlines[name] += periods[name]
             self._waits.append(stamp - max(self._served[name], self._resumed))
@@ -309,7 +317,8 @@ class InferenceScheduler:
         if extra <= 0.0:
             return {request.id: least for request in requests}
         fair = (self._least(len(requests)) + extra) / self._cost / sum(request.weight for request in requests)
-        return {request.id: min(least, self._interval / min(1.0, max(fair * request.weight, 1e-6)))
+        most = _TOGETHER if self._together else 1.0
+        return {request.id: min(least, self._interval / min(most, max(fair * request.weight, 1e-6)))
                 for request in requests}
 
     def _admit(self, requests: Sequence[Request], stamp: float, periods: Dict[str, float]) -> None:
@@ -334,10 +343,27 @@ class InferenceScheduler:
         early = {request.id: self._deadlines[request.id] - stamp - 1e-3 * periods[request.id] for request in requests}
         if self._batches:
             if any(value <= 0.0 for value in early.values()):
+                if self._together:
+                    return [request.id for request in order]
                 return [request.id for request in order if early[request.id] <= _NEARLY_DUE * periods[request.id]]
             return []
         earned = sum(1.0 - early[request.id] / periods[request.id] for request in requests)
         return [request.id for request in order][:max(0, int(earned + 1e-6))]
+
+    def _all_or_none(self, due: int, step: float, extra: float) -> int:
+        """All that are due, or 0 while there is not the time for them; it is saved up.
+
+        Nor while the image is too old, unless nobody has had a turn for long.
+        """
+        spendable = self._budget * max(1.0, step / _SLOW_STEP) + extra + self._left
+        needed = due * self._cost
+        self._left = min(spendable, needed)
+        waited = self._stamp - min(self._served.values(), default=self._stamp)
+        is_late = self._age is not None and self._max_age - self._age - self._rest < needed * self._stretch
+        if spendable < needed or is_late and waited < _LONGEST_WAIT:
+            return 0
+        self._left = 0.0
+        return due
 
     def _affordable(self, due: int, step: float, extra: float, reserved: int, least: int) -> int:
         """Number of inferences for the image `step` s after the last; the time that is left goes to the next image.

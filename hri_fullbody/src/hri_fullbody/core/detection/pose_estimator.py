@@ -168,7 +168,6 @@ class BlazePose:
                                 outputs=(_LANDMARK_OUTPUT, _SCORE_OUTPUT, _WORLD_OUTPUT), notify=notify,
                                 threads=threads)
         self._takes_one = isinstance(self._model.input_shapes["input_1"][0], int)
-        self._feed = np.empty((1, INPUT_SIZE, INPUT_SIZE, 3), np.float32)
 
     @property
     def threads(self) -> Threads:
@@ -191,10 +190,7 @@ class BlazePose:
         threads."""
         if not windows:
             return []
-        if len(windows) > len(self._feed):
-            self._feed = np.empty((len(windows), INPUT_SIZE, INPUT_SIZE, 3), np.float32)
-        affines, output = self._model.run_items(windows, lambda one, place: _crop(image, one, place),
-                                                self._feed[:len(windows)])
+        affines, output = self._model.run_items(windows, lambda one, place: _crop(image, one, place))
         scores = np.asarray(output[_SCORE_OUTPUT]).reshape(len(windows), -1)
         return [decode(landmarks, float(score[0]), world, affine, one.window.angle, one.mirrored)
                 for landmarks, score, world, affine, one in zip(

@@ -200,8 +200,7 @@ class FaceDetector:
 
     def _search(self, bgr: np.ndarray, regions: Sequence[Region]) -> List[Found]:
         """What the network says of each region."""
-        batch = np.empty((len(regions), INPUT_SIZE, INPUT_SIZE, 3), np.float32)
-        places, out = self._model.run_items(regions, lambda region, crop: _letterbox(bgr, region, crop), batch)
+        places, out = self._model.run_items(regions, lambda region, crop: _letterbox(bgr, region, crop))
         return [self._decode(out["Identity"][i], out["Identity_1"][i, :, 0], scale, offset)
                 for i, (scale, offset) in enumerate(places)]
 

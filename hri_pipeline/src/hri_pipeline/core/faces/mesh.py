@@ -294,6 +294,10 @@ class FaceMesh:
         """Those that share the crops now: others once a graphics card has failed."""
         return self._model.threads
 
+    def takes_as_long_as_one(self, count: int) -> bool:
+        """Whether so many crops take hardly longer than one: on a graphics card."""
+        return self._model.runs_on_card(count)
+
     def run(self, bgr: np.ndarray, rois: Sequence[FaceRoi]) -> List[FaceMeshResult]:
         """Run the network; one result per crop, in order. The model's threads share the crops.
 
@@ -311,8 +315,7 @@ class FaceMesh:
         """
         if not rois:
             return []
-        batch = np.empty((len(rois), INPUT_SIZE, INPUT_SIZE, 3), np.float32)
-        affines, found = self._model.run_items(rois, lambda roi, place: _crop(bgr, roi, place), batch)
+        affines, found = self._model.run_items(rois, lambda roi, place: _crop(bgr, roi, place))
         out = {name: values.reshape(len(rois), -1).astype(np.float64) for name, values in found.items()}
         results = []
         for i, (roi, affine) in enumerate(zip(rois, affines)):
