@@ -443,6 +443,21 @@ def test_an_arm_of_which_elbow_or_wrist_is_guessed_has_no_hand_on_the_face(side,
     assert (told.attitude == AttitudeClass.HANDS_ON_FACE) == is_sure
 
 
+@pytest.mark.parametrize("rate", [5.0, 10.0])
+@pytest.mark.parametrize("looks, on_face", [(1, False), (2, False), (3, True)])
+@pytest.mark.parametrize("between", ["elsewhere", "guessed"])
+def test_a_hand_is_on_the_face_from_the_third_look_in_turn_on(rate, looks, on_face, between):
+    """The hand of who is behind is often before the face for a look or two."""
+    shown, body, told = people.on_face().seen(), BehaviourRecognizer(), []
+    for number in range(24):
+        at_face, confidence = number % 6 < looks, np.ones(18)
+        if not at_face and between == "guessed":
+            confidence[[kp.LEFT_WRIST, kp.RIGHT_WRIST]] = 0.3
+        points = shown if at_face or between == "guessed" else people.standing().seen()
+        told.append(body.update(points, STATURE, number / rate, UP, confidence=confidence).attitude)
+    assert (AttitudeClass.HANDS_ON_FACE in told) == on_face and AttitudeClass.HANDS_ON_FACE not in told[:2]
+
+
 @pytest.mark.parametrize("ahead, knuckles, on_face", [
     (0.22, (-0.2, 1.0, 0.7), True), (0.22, (1.0, -0.6, -0.2), False), (0.50, (-0.2, 1.0, 0.7), False)],
     ids=["towards the chin", "away from it", "at arm's length"])
