@@ -125,7 +125,7 @@ RESUME_S = 15.0
 
 def resumed(dialogues: int, first_seed: int = FIRST_SEED) -> Dict[str, object]:
     """Return the voices of these dialogues that last for 2 s (a person each, where nobody has a face), and the share of
-    speech in the voice of another person: each turn a new voice, with `resume_time`, and with it without the network."""
+    speech in another person's voice: each turn a new voice, with `resume_time`, and with it without the network."""
     found: Dict[str, object] = {"resumed_people": 2 * dialogues}
     embedder = speaker_embedder()
     for name, resume_time, speakers in (("new", 0.0, embedder), ("resumed", RESUME_S, embedder),

@@ -284,7 +284,8 @@ class VoiceTracks:
 
     def _resumed(self, key: int, stamp: float, direction: Optional[np.ndarray]) -> Optional[VoiceTrack]:
         if direction is None:
-            return max(self._recent(key, stamp), key=lambda voice: voice.last_word, default=None)
+            recent = self._recent(key, stamp)
+            return max(recent, key=lambda voice: voice.last_word) if recent else None
         silent = [voice for voice in self.silent if stamp - voice.last_word <= self._settings.voice_timeout]
         same = [voice for voice in silent if voice.key == key and voice.direction is not None]
         if same:
