@@ -31,6 +31,7 @@ _MICROPHONE = np.array([[3.0, 2.4, 1.2]])
 _SNR_DB, _LEVEL = 20.0, 0.05
 _SPEECH_S, _GAP_S, _PAUSE_S = (1.5, 4.0), (0.0, 0.4), (1.2, 2.0)
 _EXCHANGES, _PARTS = 4, (2, 3)
+_PERSON_S = 2.0     # voice_person_delay of the person manager
 
 
 class Dialogue(NamedTuple):
@@ -118,6 +119,43 @@ def turns(sound: np.ndarray, speakers: Optional[SpeakerEmbedder]) -> List[Turn]:
     return found
 
 
+RESUME_S = 15.0
+"""Time within which an earlier voice may go on, in resumed()."""
+
+
+def resumed(dialogues: int, first_seed: int = FIRST_SEED) -> Dict[str, object]:
+    """Return the voices of these dialogues that last for 2 s (a person each, where nobody has a face), and the share of
+    speech in another person's voice: each turn a new voice, with `resume_time`, and with it without the network."""
+    found: Dict[str, object] = {"resumed_people": 2 * dialogues}
+    embedder = speaker_embedder()
+    for name, resume_time, speakers in (("new", 0.0, embedder), ("resumed", RESUME_S, embedder),
+                                        ("unheard", RESUME_S, None)):
+        counts = np.zeros(3)
+        for seed in range(first_seed, first_seed + dialogues):
+            counts += _voices_of(make_dialogue(seed), resume_time, speakers)
+        found[name + "_voices"], found[name + "_wrong"] = int(counts[0]), round(float(counts[1] / counts[2]), 3)
+    return found
+
+
+def _voices_of(dialogue: Dialogue, resume_time: float, speakers: Optional[SpeakerEmbedder]) -> np.ndarray:
+    """Return the number of voices that last, and the samples of speech that are not of their voice's person, and all
+    (3,)."""
+    settings = VOICES.resolve({"resume_time": resume_time, "voice_timeout": 3.0 if speakers else RESUME_S})
+    pipeline = VoicePipeline(settings, activity_model(), speakers=speakers)
+    tracked: Dict[str, List[float]] = {}
+    spoken: Dict[str, np.ndarray] = {}
+    for block in blocks(dialogue.sound):
+        for seen in pipeline.update(block):
+            if seen.turn and (len(seen.samples) or seen.speaking):
+                begin = int(round(seen.stamp * RATE))
+                spoken[seen.id] = spoken.get(seen.id, np.zeros(2)) + dialogue.spoken[
+                    :, begin:begin + len(seen.samples)].sum(axis=1)
+        for voice in pipeline.tracked:
+            tracked.setdefault(voice, [block.stamp, block.stamp])[1] = block.stamp
+    lasting = sum(last - first >= _PERSON_S for first, last in tracked.values())
+    return np.array([lasting, sum(each.min() for each in spoken.values()), sum(each.sum() for each in spoken.values())])
+
+
 def figures(dialogues: int = 16, first_seed: int = FIRST_SEED, tuning: bool = False) -> Dict[str, object]:
     """Return turns_mixed, the same without the network, the turns of one who speaks alone that were cut, and by how
     much (median, s) a new voice is late.
@@ -142,4 +180,5 @@ def figures(dialogues: int = 16, first_seed: int = FIRST_SEED, tuning: bool = Fa
     return {"turns_mixed": round(mixed[True][0] / mixed[True][1], 3),
             "turns_mixed_without": round(mixed[False][0] / mixed[False][1], 3),
             "turns_mixed_turns": [mixed[False][1], mixed[True][1]], "turns_cut": round(alone[0] / alone[1], 3),
-            "turns_alone": alone[1], "new_speaker_late_s": round(float(np.median(late)), 2) if late else None}
+            "turns_alone": alone[1], "new_speaker_late_s": round(float(np.median(late)), 2) if late else None,
+            **({} if tuning else resumed(dialogues, first_seed))}

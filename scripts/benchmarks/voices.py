@@ -78,7 +78,9 @@ SUBJECT = Subject("voices", "activity, speech, direction, features and processor
              "speaks; stray: who speaks without a speaker (details: room_details); none on Python 3.8",
     "dialogues": "one microphone, RT60 0.3 s, 20 dB, two people in turn with gaps of 0 to 0.4 s; a turn is mixed "
                  "when the second one speaks for 0.5 s in it; dialogues, not speakers, of their own "
-                 "(details: turns_mixed_without the network; turns_cut of one who speaks alone)",
+                 "(details: turns_mixed_without the network; turns_cut of one who speaks alone; new, "
+                 "resumed, unheard: voices of resumed_people that last for 2 s, and the share of speech in another "
+                 "one's, each turn anew, resume_time 15 s, and that without the network)",
     "identity": "pieces of 4 s of one of three who are enrolled, and of a stranger, in other rooms (RT60 0.2 to "
                 "0.5 s, 15 to 25 dB), 60 draws of rooms; the threshold is of other speakers; few people",
     "onset": "from the first labelled sample behind 0.3 s without speech to is_speaking: algorithm, wait for the "

@@ -53,3 +53,23 @@ def test_the_text_ends_where_the_other_speaker_begins():
         assert engine.finish(len(own)).text == "go forward ten meters" != both
     finally:
         engine.close()
+
+
+@pytest.mark.parametrize("name", ["moonshine", "pocketsphinx"])
+def test_a_turn_that_was_all_another_voices_has_no_text(name):
+    if name == "pocketsphinx":
+        pytest.importorskip("pocketsphinx")
+    own = int16(speech_files.read_speech((COMMAND,))[COMMAND])
+    engine = make_engine(EngineChoice(name))
+    try:
+        engine.start()
+        engine.feed(own[:22000])
+        assert engine.partial() == "go forward"
+        engine.pause()
+        assert engine.finish(0).text == ""
+        engine.start()
+        engine.feed(own)
+        engine.pause()
+        assert "go forward" in engine.finish(len(own)).text
+    finally:
+        engine.close()

@@ -113,6 +113,46 @@ def test_another_speaker_does_not_resume_the_voice():
     assert len(turns_of(tone(LOW, 2.5), tone(HIGH, 2.5), resume_time=60.0)) == 2
 
 
+def test_who_answers_within_the_resume_time_has_another_voice_and_who_goes_on_the_same():
+    found = turns_of(tone(LOW, 2.5), pause(1.0), tone(HIGH, 2.5), pause(1.0), tone(LOW, 2.5), pause(1.0),
+                     tone(HIGH, 2.5), resume_time=15.0)
+    lengths = {name: sum(len(seen.samples) for seen in turns) / RATE for name, turns in found.items()}
+    low, high = [name for name, length in lengths.items() if length > 4.0]
+    assert lengths[low] == pytest.approx(2 * 3.2, abs=0.5) and lengths[high] == pytest.approx(2 * 3.2, abs=0.5)
+    assert sum(seen.onset for seen in found[low]) == sum(seen.onset for seen in found[high]) == 2
+    assert len(found) == 4, "who goes on has a voice of its own until 1.2 s of speech sound like the earlier one"
+
+
+def test_a_turn_of_an_earlier_voice_has_all_its_sound_and_nothing_is_left_of_the_new_one():
+    pipeline = pipeline_of(resume_time=15.0, look_back=0.2)
+    found = turns_of(tone(LOW, 2.5), pause(1.0), tone(LOW, 2.5), pipeline=pipeline)
+    (same, turns), (passing, passed) = found.items()
+    assert pipeline.tracked == (same,)
+    assert passed[0].onset and passed[-1].end and len(passed) < 45
+    again = [seen for seen in turns if seen.onset][1]
+    assert again.stamp == pytest.approx(passed[0].stamp) == pytest.approx(passed[-1].stamp)
+    assert again.stamp == pytest.approx(START + 4.0 - 0.2, abs=0.07)
+    assert [len(seen.samples) for seen in passed[:1]] == [int(0.2 * RATE) + FRAME]
+
+
+@pytest.mark.parametrize("second", [tone(LOW, 0.8), tone(HIGH, 0.8)], ids=["same", "other"])
+def test_who_says_too_little_to_be_compared_is_nobody_who_spoke_before(second):
+    assert len(turns_of(tone(LOW, 2.5), pause(1.0), second, resume_time=15.0)) == 2
+
+
+@pytest.mark.parametrize("seconds, silence, there", [(2.5, 10.0, 1), (2.5, 16.0, 0), (0.8, 10.0, 0)])
+def test_a_voice_of_known_sound_is_tracked_as_long_as_it_may_go_on(seconds, silence, there):
+    pipeline = pipeline_of(resume_time=15.0)
+    turns_of(tone(LOW, seconds), pipeline=pipeline)
+    pipeline.idle(START + 0.5 + seconds + silence)
+    assert len(pipeline.tracked) == there
+
+
+def test_who_went_on_for_another_in_one_turn_may_have_spoken_before():
+    found = turns_of(tone(LOW, 2.5), pause(0.1), tone(HIGH, 2.5), pause(0.1), tone(LOW, 2.5), resume_time=15.0)
+    assert len(found) == 2
+
+
 def test_a_turn_after_a_pause_is_not_compared_with_the_one_before():
     first, second = turns_of(tone(LOW, 2.5), pause(1.0), tone(HIGH, 2.5)).values()
     assert len(first[-1].samples) and second[0].stamp == pytest.approx(START + 4.0, abs=0.25)

@@ -157,6 +157,8 @@ class PocketsphinxEngine:
         """End the utterance; its text is empty where nothing, or no sentence of the grammar, was heard."""
         self._decoder.end_utt()
         self._open = False
+        if not spoken:
+            return Recognised("", 0.0)      # all of it was said by somebody else
         self._decode_again(spoken)
         hypothesis = self._decoder.hyp()
         text = "" if hypothesis is None else _words_of(hypothesis.hypstr)

@@ -131,9 +131,11 @@ class VoiceActivitySettings(Settings):
         3.0, "Time after its last word until a voice ends.", unit="s", minimum=0.1, maximum=600.0, live=True)
     resume_time: float = parameter(
         0.0, "Without an array, speech within this time after the last word continues the voice. Up to hangover_time, "
-        "every turn is a new voice: one microphone cannot tell who answers, and a voice that goes on for somebody else "
-        "is matched with the wrong face. Longer suits a robot with one user. With an array the direction decides, for "
-        "as long as the voice is tracked.", unit="s", minimum=0.0, maximum=600.0, live=True)
+        "every turn is a new voice. With speaker_changes a turn is a new voice until 1.2 s of it sound like an earlier "
+        "one, which then takes all of it over, and voices of known sound are tracked so long: 15 suits a robot without "
+        "a camera. Without speaker_changes whoever speaks continues the voice, and is matched with the wrong face: "
+        "for one user only. With an array the direction decides, for as long as the voice is tracked.",
+        unit="s", minimum=0.0, maximum=600.0, live=True)
     direction_grace: float = parameter(
         0.05, "With an array, time that speech counts for a direction after the last sound from there. Speech behind "
         "that is somebody else's, which the separation lets through. Longer loses less where several speak at once, "

@@ -223,11 +223,9 @@ class VoicePipeline:
         found: List[VoiceObservation] = []
         if step.onset or source.voice is None:
             found = self._end_lost_turns(source)
-            source.voice = self._tracks.begin(source.key, end, source.direction, source.direction_sd)
-            if source.speakers is not None:
-                source.speakers.reset()
-                source.speakers.add(frame, stamp, source.turns.activity.heard)
-            frame, stamp = source.with_look_back(frame, stamp)
+            source.voice = self._tracks.begin(source.key, end, source.direction, source.direction_sd,
+                                              by_sound=source.speakers is not None)
+            frame, stamp = self._begin_turn(source, source.voice, frame, stamp)
         else:
             divided = self._divide_turn(source, step, frame, stamp)
             if divided:
@@ -239,18 +237,31 @@ class VoicePipeline:
         self._end_turn(source, step)
         return found
 
+    def _begin_turn(self, source: VoiceSource, voice: VoiceTrack, frame: np.ndarray, stamp: float
+                    ) -> Tuple[np.ndarray, float]:
+        """Return the first sound of a turn, with the look-back, and its stamp (s)."""
+        sound, first = source.with_look_back(frame, stamp)
+        if source.speakers is not None:
+            earlier = [other.embeddings for other in self._tracks.earlier(source.key, stamp)]
+            source.speakers.begin(voice.embeddings, earlier)
+            # Where the turn is an earlier voice's, all of its sound is.
+            if earlier and len(sound) > len(frame):
+                source.speakers.add(sound[:-len(frame)], first, is_speech=False)
+            source.speakers.add(frame, stamp, source.turns.activity.heard)
+        return sound, first
+
     def _divide_turn(self, source: VoiceSource, step: TurnStep, frame: np.ndarray, stamp: float
                      ) -> List[VoiceObservation]:
-        """Where another speaker goes on: end the turn there, and begin that of a new voice with all its sound."""
+        """Where another speaker goes on: end the turn there, and begin that of another voice with all its sound."""
         other = None
         if source.speakers is not None and not step.end:
             other = source.speakers.add(frame, stamp, source.turns.activity.heard)
-        if other is None or source.voice is None:
+        if other is None or source.voice is None or source.speakers is None:
             return []
-        samples, since = other
+        samples, since, embedding = other
         ended = _observation(source, source.voice, source.turns.divide(len(samples) / RATE), _NO_SOUND, since)
-        self._tracks.end(source.voice, short=False)
-        source.voice = self._tracks.begin(source.key, stamp + FRAME_TIME, is_other=True)
+        source.voice = self._tracks.begin_other(source.key, stamp + FRAME_TIME, embedding, source.voice, since)
+        source.speakers.take_for(source.voice.embeddings)
         return [ended, _observation(source, source.voice, replace(step, onset=True), samples, since)]
 
     def _expire(self, stamp: float) -> None:

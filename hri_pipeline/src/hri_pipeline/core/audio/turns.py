@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Deque, Dict, List, Optional, Tuple
 
 import numpy as np
 
 from hri_pipeline.core.audio.level import SILENT_DBFS, level_dbfs
 from hri_pipeline.core.audio.parameters import VoiceActivitySettings
-from hri_pipeline.core.audio.speakers import SpeakerChange
+from hri_pipeline.core.audio.speakers import KEPT_EMBEDDINGS, SpeakerChange, most_alike
 from hri_pipeline.core.audio.stream import RATE
 from hri_pipeline.core.audio.vad import FRAME, FRAME_TIME, ActivityState, Bands, SpeechActivity
 from hri_pipeline.core.ids import IdGenerator
@@ -163,6 +163,10 @@ class VoiceTrack:
         It has a turn now.
     confirmed : bool
         It has had a turn that was not too short.
+    first_word : float
+        s, when it was heard first.
+    embeddings : deque of np.ndarray
+        Of its speech, where changes of the speaker are looked for.
     """
 
     id: str
@@ -172,6 +176,8 @@ class VoiceTrack:
     direction_sd: Optional[float] = None
     in_turn: bool = True
     confirmed: bool = False
+    first_word: float = math.inf
+    embeddings: Deque[np.ndarray] = field(default_factory=lambda: deque(maxlen=KEPT_EMBEDDINGS))
 
 
 class VoiceTracks:
@@ -179,7 +185,8 @@ class VoiceTracks:
 
     A voice is tracked until `voice_timeout` after its last word. A turn that begins in that time belongs to the same
     voice if it comes from the same source or direction (within `resume_angle`), with an array; without directions, if
-    it begins within `resume_time`.
+    it begins within `resume_time`; where speakers are compared it has to sound like it, and a voice of known sound is
+    tracked so long.
 
     Parameters
     ----------
@@ -209,12 +216,31 @@ class VoiceTracks:
         return [voice for voice in self._voices.values() if not voice.in_turn]
 
     def begin(self, key: int, stamp: float, direction: Optional[np.ndarray] = None,
-              direction_sd: Optional[float] = None, is_other: bool = False) -> VoiceTrack:
+              direction_sd: Optional[float] = None, by_sound: bool = False) -> VoiceTrack:
         """Return the voice of a turn that begins at `stamp` (s) in source `key`: a tracked one that is silent, or a new
-        one. is_other: of another speaker than the turn before, hence new."""
-        voice = None if is_other else self._resumed(key, stamp, direction)
+        one. by_sound: a new one, until its sound is compared (earlier, begin_other)."""
+        voice = None if by_sound else self._resumed(key, stamp, direction)
+        return self._begin(voice, key, stamp, direction, direction_sd)
+
+    def earlier(self, key: int, stamp: float) -> List[VoiceTrack]:
+        """Return the silent voices of known sound that may go on in source `key` at `stamp` (s)."""
+        return [voice for voice in self._recent(key, stamp) if voice.embeddings]
+
+    def begin_other(self, key: int, stamp: float, embedding: np.ndarray, before: VoiceTrack, since: float
+                    ) -> VoiceTrack:
+        """Return the voice of a turn, at `stamp` (s), whose speaker is not that of `before`, which has spoken until
+        `since` (s): a tracked one that sounds like this embedding, or a new one."""
+        before.last_word = min(before.last_word, since)
+        others = [voice for voice in self.earlier(key, stamp) if voice is not before]
+        like = most_alike(embedding, [voice.embeddings for voice in others])
+        # Nothing is left of a voice whose whole turn was an earlier one's.
+        self.end(before, short=like is not None and since <= before.first_word)
+        return self._begin(None if like is None else others[like], key, stamp)
+
+    def _begin(self, voice: Optional[VoiceTrack], key: int, stamp: float, direction: Optional[np.ndarray] = None,
+               direction_sd: Optional[float] = None) -> VoiceTrack:
         if voice is None:
-            voice = VoiceTrack(self._ids.new(), key, stamp)
+            voice = VoiceTrack(self._ids.new(), key, stamp, first_word=stamp)
             self._voices[voice.id] = voice
         voice.key, voice.in_turn = key, True
         self.heard(voice, stamp, direction, direction_sd)
@@ -231,25 +257,36 @@ class VoiceTracks:
         """End the turn of a voice. A voice that has had only short turns (noise) is removed."""
         voice.in_turn = False
         voice.confirmed = voice.confirmed or not short
+        if not self._settings.resume_time > 0.0:
+            voice.embeddings.clear()
         if not voice.confirmed:
             self._voices.pop(voice.id, None)
 
     def expire(self, stamp: float) -> None:
-        """Remove the voices that are silent for more than `voice_timeout` at `stamp` (s)."""
+        """Remove the voices that are silent at `stamp` (s) for more than their time."""
         for voice in self.silent:
-            if stamp - voice.last_word > self._settings.voice_timeout:
+            if stamp - voice.last_word > self._longest_pause(voice):
                 del self._voices[voice.id]
 
     def clear(self) -> None:
         """Remove all voices."""
         self._voices.clear()
 
+    def _recent(self, key: int, stamp: float) -> List[VoiceTrack]:
+        """Return the silent voices of source `key` that may go on at `stamp` (s) without a direction."""
+        return [voice for voice in self.silent if voice.key == key and stamp - voice.last_word <= min(
+            self._settings.resume_time, self._longest_pause(voice))]
+
+    def _longest_pause(self, voice: VoiceTrack) -> float:
+        """How long (s) a silent voice is tracked: one of known sound until it cannot go on any more."""
+        timeout = self._settings.voice_timeout
+        return max(timeout, self._settings.resume_time) if voice.embeddings else timeout
+
     def _resumed(self, key: int, stamp: float, direction: Optional[np.ndarray]) -> Optional[VoiceTrack]:
-        silent = [voice for voice in self.silent if stamp - voice.last_word <= self._settings.voice_timeout]
         if direction is None:
-            recent = [voice for voice in silent if voice.key == key
-                      and stamp - voice.last_word <= self._settings.resume_time]
+            recent = self._recent(key, stamp)
             return max(recent, key=lambda voice: voice.last_word) if recent else None
+        silent = [voice for voice in self.silent if stamp - voice.last_word <= self._settings.voice_timeout]
         same = [voice for voice in silent if voice.key == key and voice.direction is not None]
         if same:
             return max(same, key=lambda voice: voice.last_word)
