@@ -13,6 +13,8 @@ from benchmarks.labels import images, nearest_face, read_labels
 from hri_pipeline.core.camera import EQUIDISTANT, PLUMB_BOB, Calibration, CameraModel
 from hri_pipeline.core.faces.action_units import MIRROR, ActionUnitEstimator, FaceMeasures
 from hri_pipeline.core.faces.age_gender import AgeGenderFusion, load_age_gender
+from hri_pipeline.core.faces.analysis import MOST_NOISE
+from hri_pipeline.core.faces.crops import relative_noise
 from hri_pipeline.core.faces.detector import FaceDetector
 from hri_pipeline.core.faces.expression import CATEGORIES, ExpressionModel, ExpressionTracker
 from hri_pipeline.core.faces.mesh import FaceMesh, load_canonical_face, roi_from_detection, roi_from_mesh
@@ -220,6 +222,22 @@ def test_the_people_of_the_demonstration_are_grown_women(finder):
     ages = np.array([look.age for look in told])
     assert 18.0 <= np.median(ages) <= 35.0 and ages.min() > 12.0 and ages.max() < 55.0
     assert all(5.0 <= look.age_sd < 12.0 and 0.5 < look.age_confidence < 0.97 for look in told)
+
+
+def test_noise_that_makes_people_old_is_known(finder):
+    """Faces of 90 px, clean and as of a camera in a dim room."""
+    model = load_age_gender(models_directory() / "age_gender.onnx")
+    image, random, older = cv2.imread(str(models_directory() / "demo" / "sample6.jpg")), np.random.RandomState(1), []
+    assert image is not None, "no demonstration pictures; get them with `rosrun hri_pipeline fetch_models`"
+    for _, mesh in finder(image):
+        scale = 90.0 / np.ptp(mesh[:, 0])
+        small, points = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), scale * mesh
+        noisy = np.clip(small + random.normal(0.0, 25.0, small.shape), 0, 255).astype(np.uint8)
+        clean, grainy = model.crop(small, points), model.crop(noisy, points)
+        first, second = model.estimate([clean, grainy])
+        older.append(second.age - first.age)
+        assert relative_noise(clean) < 0.7 * MOST_NOISE < MOST_NOISE < relative_noise(grainy)
+    assert np.median(older) > 8.0, "the network takes noise for wrinkles; else nobody needs this"
 
 
 def test_another_network_is_refused():

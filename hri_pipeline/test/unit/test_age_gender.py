@@ -1,5 +1,8 @@
 """Age and gender: networks of both signatures are known by it, wrong ones told; the looks at one face are fused."""
 
+from types import SimpleNamespace
+
+import cv2
 import numpy as np
 import onnx
 import pytest
@@ -11,6 +14,8 @@ from hri_pipeline.core.faces.age_gender import (
     RetailAgeGender,
     load_age_gender,
 )
+from hri_pipeline.core.faces.analysis import AGE_FIRST_PERIOD, AgeGenderProcessor
+from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.onnx import ModelError
 
 HELPER, FLOAT = onnx.helper, onnx.TensorProto.FLOAT
@@ -187,3 +192,23 @@ def test_time_that_goes_back_and_bad_looks():
                           (AgeGender(30.0, 8.0, 0.5), 0.0), (AgeGender(30.0, 8.0, 0.5), float("nan"))):
         fusion.add(look, quality, 4.0)
     assert fusion.estimate().samples == 1
+
+
+def test_faces_full_of_noise_have_no_age_until_the_light_is_back(tmp_path):
+    """Noise of a dark room looks like wrinkles to the network: 27 years were 50, with a confidence of .91."""
+    path = tmp_path / "age_gender.onnx"
+    face_api(path)
+    image, mesh = picture_and_mesh()
+    smooth = cv2.normalize(cv2.GaussianBlur(image, (0, 0), 4.0), None, 0, 255, cv2.NORM_MINMAX)
+    face = FaceObservation("a", np.array([60.0, 60.0, 180.0, 180.0]), 1.0, mesh[:70], mesh)
+    processor = AgeGenderProcessor(SimpleNamespace(age_gender_model=str(path), providers=("cpu",)))
+    for index in range(20):
+        processor.infer(image, [face], {"a": 0.95}, float(index), {"a"})
+        assert processor.estimate("a") is None, "noise"
+    light = 19.0 + 1.01 * AGE_FIRST_PERIOD
+    assert processor.overdue([face], {"a": 0.95}, light, {"a"}) >= 1.0, "what was not looked at is soon due again"
+    processor.infer(smooth, [face], {"a": 0.95}, light, {"a"})
+    known = processor.estimate("a")
+    assert known is not None and known.age == pytest.approx(31.4, abs=0.01)
+    processor.infer(image, [face], {"a": 0.95}, light + 1.0, {"a"})
+    assert processor.estimate("a") == known

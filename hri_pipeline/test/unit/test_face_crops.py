@@ -12,6 +12,7 @@ from hri_pipeline.core.faces.crops import (
     crop_quality,
     cut,
     judge_crop,
+    relative_noise,
     turned_away,
     upright_roi,
 )
@@ -139,3 +140,15 @@ def test_a_crop_says_what_spoils_it_most(flaw, size, angle, blur, contrast, pres
 def test_turned_away():
     assert turned_away(facing(0)) == pytest.approx(0.0, abs=1e-6)
     assert np.degrees(turned_away(facing(-40))) == pytest.approx(40.0)
+
+
+def test_noise_is_told_from_details():
+    crop, random = texture().astype(np.float64), np.random.RandomState(3)
+    assert relative_noise(texture()) < 0.06, "details alone"
+    for sd in (20.0, 40.0):
+        small = cv2.resize(texture(), (48, 48), interpolation=cv2.INTER_AREA)[..., :1]
+        grainy = np.clip(small + random.normal(0.0, sd, (48, 48, 1)), 0, 255).astype(np.uint8).repeat(3, axis=2)
+        assert relative_noise(grainy) == pytest.approx(sd / grainy.std(), rel=0.25)
+    soft = cv2.GaussianBlur(crop + random.normal(0.0, 40.0, crop.shape), (0, 0), 4.0)
+    assert relative_noise(np.clip(soft, 0, 255).astype(np.uint8)) < 0.06, "noise that was smoothed away"
+    assert relative_noise(np.full((112, 112, 3), 90, np.uint8)) < 1e-3

@@ -31,7 +31,7 @@ import numpy as np
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.action_units import ActionUnitEstimator, ActionUnits, FaceMeasures
 from hri_pipeline.core.faces.age_gender import AgeGenderFusion, load_age_gender
-from hri_pipeline.core.faces.crops import turned_away
+from hri_pipeline.core.faces.crops import relative_noise, turned_away
 from hri_pipeline.core.faces.expression import (
     LEAST_CONFIDENCE,
     ExpressionEstimate,
@@ -67,6 +67,9 @@ AGE_FIRST_PERIOD, AGE_LAST_PERIOD, AGE_QUICK_RUNS, AGE_SLOWER = 0.7, 20.0, 4, 1.
 times the last."""
 LEAST_QUALITY = 0.3
 """Least quality of a crop for the age and gender network."""
+MOST_NOISE = 0.075
+"""Most noise of a crop, over its contrast, for that network, which takes noise for wrinkles. Of 27 faces on photographs
+with noise and other faults .18 of the ages are more than 10 years from those of good images up to here, .75 beyond."""
 Notify = Callable[[str], None]
 
 
@@ -378,9 +381,11 @@ class AgeGenderProcessor:
         if face is None:
             return
         self._last_runs[face.id] = stamp
+        crop = self._model.crop(bgr, face.mesh, camera)
+        if relative_noise(crop) > MOST_NOISE:
+            return
         self._counts[face.id] = self._counts.get(face.id, 0) + 1
         fusion = self._fusions.setdefault(face.id, AgeGenderFusion())
-        crop = self._model.crop(bgr, face.mesh, camera)
         fusion.add(self._model.estimate([crop])[0], qualities[face.id], stamp)
         fused = fusion.estimate()
         self._known[face.id] = None if fused is None else SoftBiometrics(
