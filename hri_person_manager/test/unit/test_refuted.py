@@ -108,3 +108,44 @@ def test_a_name_is_not_inherited_past_a_doubt():
     world.run(1.5)
     world.show(("f2",), ("b1",))
     assert world.run(1.0)[1] != "ann"
+
+
+def test_a_face_that_is_told_not_to_be_somebody_gets_the_name_of_no_body_meanwhile():
+    world = World(("f1", "f2"), ("b1",))
+    world.say(FACE, BODY, 0.8)
+    world.say(FACE, ANN, 0.9)
+    world.run(1.0)
+    other = MatchNode(Kind.FACE, "f2")
+    world.say(other, ANN, 0.0)
+    world.run(0.2)
+    world.show(("f2",), ("b1",))
+    world.say(other, BODY, 0.8)
+    assert world.manager.person_of(other) == world.manager.person_of(BODY) != "ann"
+    world.say(other, ANN, 0.9)
+    assert world.manager.person_of(other) == world.manager.person_of(BODY) == "ann"
+
+
+def test_somebody_else_on_a_body_gets_no_id_that_stands_for_the_one_before():
+    world = World(("f1", "f2"), ("b1",))
+    world.say(FACE, BODY, 0.8)
+    before = world.run(1.0)[0]
+    world.say(FACE, ANN, 0.9)
+    world.run(1.0)
+    world.show(("f2",), ("b1",))
+    other = MatchNode(Kind.FACE, "f2")
+    world.say(other, BODY, 0.8)
+    world.say(other, ANN, 0.0)
+    world.run(2.0)
+    persons = {state.id: state for state in world.manager.snapshot(world.now).persons}
+    assert persons[before].alias == "ann"
+    assert world.manager.person_of(other) == world.manager.person_of(BODY) not in (None, before, "ann")
+
+
+def test_a_name_that_is_taken_back_gives_the_id_before_it_back():
+    world = World()
+    world.say(FACE, BODY, 0.8)
+    before = world.run(1.0)[0]
+    world.say(FACE, ANN, 0.9)
+    world.run(1.0)
+    world.say(FACE, ANN, 0.0)
+    assert world.run(2.0) == (before, before)

@@ -462,6 +462,31 @@ def test_a_stranger_who_comes_after_somebody_enrolled_is_told_once_not_to_be_tha
     assert ("f6", "bert") not in scene.matches, "too long ago for a body that was bert's"
 
 
+@pytest.mark.parametrize("is_hidden", [False, True])
+def test_two_views_that_are_plainly_of_somebody_else_are_told_before_the_face_is_seen_well(is_hidden):
+    scene = Scene(policy="enrolled")
+    scene.gallery.add_person("bert", template(2)[None], enrolled=True)
+    scene.show({"f2": (2, 0.2)}, 3.0)
+    scene.messages.clear()
+    if is_hidden:
+        scene.recogniser.keep = Mock()
+    scene.show({"f3": (7, 0.2)}, 0.2, quality=0.4)
+    assert scene.messages == [], "one view may be a bad one"
+    scene.show({"f3": (7, 0.2)}, 0.6, quality=0.4)
+    assert [(match.face_id, match.person_id, match.likelihood) for match in scene.messages] == [("f3", "bert", 0.0)]
+    scene.show({"f3": (2, 0.2)}, 6.0)
+    assert scene.person("f3") == "bert", "what was told keeps nobody from the name"
+
+
+def test_views_that_may_be_of_the_one_before_do_not_tell_that_they_are_not():
+    scene = Scene(policy="enrolled")
+    scene.gallery.add_person("bert", template(2)[None], enrolled=True)
+    scene.show({"f2": (2, 0.2)}, 3.0)
+    scene.messages.clear()
+    scene.show({"f3": (2, 0.325)}, 3.0, quality=0.4)
+    assert all(match.likelihood > 0.0 for match in scene.messages)
+
+
 def test_enrolling_is_an_act():
     scene = Scene(policy="enrolled")
     scene.show({"f1": (1, 0.2)}, 3.0)

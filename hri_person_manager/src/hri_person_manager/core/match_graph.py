@@ -33,6 +33,7 @@ MAX_PENDING_MATCHES = 1000      # matches kept for features that are not tracked
 MAX_SAID = 1000       # pairs of a feature and a recogniser whose names for it are kept
 MAX_SAID_NAMES = 10
 Group = FrozenSet[MatchNode]
+_NO_GROUP: Group = frozenset()
 
 
 @dataclass(frozen=True)
@@ -539,9 +540,16 @@ class Association:
 
     def _solve_all(self, touched: Set[MatchNode]) -> bool:
         """Group these nodes anew, whatever links them with others."""
-        solution = self._graph.solve(touched, self.threshold, self._standing & self._refuted.keys())
+        solution = self._graph.solve(touched, self.threshold, self._kept_apart())
         self._approximate = (self._approximate - touched) | solution.approximate
         return any([self._store_group(group) for group in solution.groups])
+
+    def _kept_apart(self) -> Set[FrozenSet[MatchNode]]:
+        """Pairs that are in no group: told to be two for long enough, or a name that is new to a feature which is told
+        not to bear it. One that it has is not parted so soon."""
+        new = {pair for pair in self._refuted.keys() - self._standing if any(node.kind == Kind.PERSON for node in pair)
+               and not any(pair <= self._groups.get(node, _NO_GROUP) for node in pair)}
+        return (self._standing & self._refuted.keys()) | new
 
     def _best(self, node: MatchNode, kind: Kind) -> List[MatchNode]:
         """Those of a kind that are linked best with a node."""

@@ -133,8 +133,8 @@ class PersonTable:
             else:
                 owners[group] = self.permanent(named.id)
         merged = self._place_anonymous(owners, nameless, now)
-        self._restore_aliases(owners, nameless)
-        self._make_new(owners, nameless, now)
+        others = self._restore_aliases(owners, nameless)
+        self._make_new(owners, nameless, now, self._due | others)
         for person, target in merged:
             self._merge(person, target)
         before = self._of_feature
@@ -191,14 +191,27 @@ class PersonTable:
         return any(owner is not person and node.kind != Kind.VOICE and owner.features[node] <= person.features[feature]
                    for node, owner in ((node, self._of_feature.get(node)) for node in group) if owner is not None)
 
-    def _restore_aliases(self, owners: Dict[Group, PersonEntry], nameless: List[Group]) -> None:
+    def _restore_aliases(self, owners: Dict[Group, PersonEntry], nameless: List[Group]) -> FrozenSet[MatchNode]:
+        """Give merged persons back what was theirs and is nobody's now; returns what was so and is of somebody else."""
+        others: FrozenSet[MatchNode] = frozenset()
         for alias_id, alias in sorted(self.aliases.items(), key=lambda item: item[1].person.number):
-            free = [group for group in nameless if group not in owners and group & set(alias.person.features)]
+            found = [group for group in nameless if group not in owners and group & set(alias.person.features)]
+            free = [group for group in found if not self._has_another_face(group, alias)]
+            others = others.union(*(group for group in found if group not in free))
             if free:
                 del self.aliases[alias_id]
                 self.persons[alias_id] = owners[free[0]] = alias.person
+        return others
 
-    def _make_new(self, owners: Dict[Group, PersonEntry], nameless: List[Group], now: float) -> None:
+    def _has_another_face(self, group: Group, alias: Alias) -> bool:
+        """Tell whether an id stands for somebody named, and a group shares something with it, but not the face: then it
+        is of somebody else, as after a cut of the picture, and the id stays the named one's."""
+        target = self.persons.get(alias.target)
+        known, faces = ({node for node in nodes if node.kind == Kind.FACE} for nodes in (alias.person.features, group))
+        return target is not None and not target.anonymous and bool(known and faces) and not known & faces
+
+    def _make_new(self, owners: Dict[Group, PersonEntry], nameless: List[Group], now: float,
+                  due: FrozenSet[MatchNode]) -> None:
         unassigned: Dict[MatchNode, float] = {}
         for group in nameless:
             if group in owners:
@@ -208,7 +221,7 @@ class PersonTable:
             lost = self.persons.get(expected)
             if lost is not None and lost.anonymous and all(owner is not lost for owner in owners.values()):
                 owners[group] = lost
-            elif self._anonymous_persons and (expected or self._due & group or not self._held & group and (
+            elif self._anonymous_persons and (expected or due & group or not self._held & group and (
                     now - since >= self._delay_of(group) - 1e-9)):
                 free = expected and expected not in self.persons and expected not in self.aliases
                 person = self._make(expected if free else ANONYMOUS_PREFIX + self._new_id())

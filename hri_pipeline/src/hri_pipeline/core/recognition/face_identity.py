@@ -230,12 +230,17 @@ class NameDoubt:
 
     def add(self, one: FaceTemplate, log_odds: float) -> None:
         """Add a view; log_odds: of the view alone, that it is of the person named."""
-        self.level = max(0.0, self.level - float(np.clip(log_odds, -DOUBT_STEP, DOUBT_STEP)))
+        self.level = _doubted(self.level, log_odds)
         self.views = (self.views + [one])[-MAX_CROPS:] if self.level > 0.0 else []
 
     def clear(self) -> None:
         """Doubt nothing."""
         self.level, self.views = 0.0, []
+
+
+def _doubted(level: float, log_odds: float) -> float:
+    """Return the doubt after a view; level: before it, log_odds: see NameDoubt.add."""
+    return max(0.0, level - min(max(log_odds, -DOUBT_STEP), DOUBT_STEP))
 
 
 @dataclass(frozen=True)
@@ -278,6 +283,7 @@ class FaceIdentity:
     result : of the last comparison with the gallery, None before the first one.
     published : likelihood by person, as last published.
     denied : ids of persons that it was told not to be, though nothing was published of them.
+    unlike : by id of a person that it might be, the doubt (see NameDoubt) of its views while it had no name.
     motion : how its shape changes.
     blur : whether a crop is blurred by motion.
     is_picture : it is a picture of the person beside it, so it is nobody.
@@ -302,6 +308,7 @@ class FaceIdentity:
     result: Optional[MatchResult] = None
     published: Dict[str, float] = field(default_factory=dict)
     denied: Set[str] = field(default_factory=set)
+    unlike: Dict[str, float] = field(default_factory=dict)
     motion: FaceMotion = field(default_factory=FaceMotion)
     blur: MotionBlur = field(default_factory=MotionBlur)
     is_picture: bool = False
@@ -379,10 +386,19 @@ class FaceIdentity:
         if swapped:
             self.barred = False
             self.denied.clear()
+            self.unlike.clear()
             self.apart.clear()
             self.beside.clear()
             self.doubt.clear()
         self.note_crop(template.stamp, again=swapped or not agrees)
+
+    def note_unlike(self, log_odds: Mapping[str, float]) -> None:
+        """Note by id of persons the logarithm of the odds of the last view alone, that it is of that person."""
+        self.unlike = {person: _doubted(self.unlike.get(person, 0.0), value) for person, value in log_odds.items()}
+
+    def is_unlike(self, person_id: str) -> bool:
+        """Whether the views speak against a person as clearly as against a name that is taken back."""
+        return self.unlike.get(person_id, 0.0) >= DOUBT_LIMIT
 
     def forget(self) -> None:
         """Drop all templates; it is nobody new from now on."""
@@ -411,6 +427,7 @@ class FaceIdentity:
         if self.person != before:
             self.later_view = None
             self.doubt.clear()
+            self.unlike.clear()
             self.refuted.discard(self.person)
             if before:
                 self.refuted.add(before)

@@ -50,8 +50,8 @@ OPEN_S = 1.0
 SAME = 0.95
 """Likelihood that is published of two known persons who are the same by their templates."""
 SHOWN_S = 60.0
-"""For how long (s) after somebody was named last, a face seen well that is nobody's is told not to be that person: the
-body that it has now may have been that person's, as after a cut of the picture."""
+"""For how long (s) after somebody was named last, a face that is plainly somebody else, or seen well and nobody's, is
+told not to be that person: the body that it has now may have been that person's, as after a cut of the picture."""
 
 
 class Recogniser:
@@ -185,19 +185,23 @@ class Recogniser:
             return sorted(changed, key=lambda match: match.likelihood > 0.0)
 
     def _denials(self, taken: Set[str]) -> List[PersonMatch]:
-        """Matches of 0: faces that were seen well and are nobody's, with those who were named a while ago; once."""
-        for face in self._faces.values():
-            if face.person and face.is_there(self._newest):
-                self._shown[face.person] = self._newest
+        """Matches of 0 with those who were named a while ago, once each: of faces that were seen well and are nobody's,
+        and sooner of those whose views are plainly of somebody else."""
+        there = [face for face in self._faces.values() if face.is_there(self._newest)]
+        visible = {face.person for face in there if face.person}
+        self._shown.update(dict.fromkeys(visible, self._newest))
         self._shown = {person: stamp for person, stamp in self._shown.items()
                        if 0.0 <= self._newest - stamp <= SHOWN_S and person in self.gallery}
         denied = []
-        for face in self._faces.values():
-            others = self._shown.keys() - face.denied - taken - face.published.keys()
-            if others and not face.person and face.is_there(self._newest) and face.evidence.mean() is not None and (
-                    self._is_new(face)):
-                face.denied |= others
-                denied += [PersonMatch(face.id, person, 0.0) for person in sorted(others)]
+        for face in there:
+            others = self._shown.keys() - face.denied - visible - face.published.keys()
+            if not others or face.person or face.evidence.mean() is None:
+                continue
+            told = {person for person in others if face.is_unlike(person)}
+            if others - taken - told and self._is_new(face):
+                told |= others - taken
+            face.denied |= told
+            denied += [PersonMatch(face.id, person, 0.0) for person in sorted(told)]
         return denied
 
     def current(self) -> List[PersonMatch]:
@@ -361,6 +365,9 @@ class Recogniser:
             return
         before = face.person
         face.take(FaceTemplate(template, quality, stamp), self._log_odds(before, template) if before else None)
+        if not face.person:
+            odds = {person: self._log_odds(person, template) for person in self._shown if person not in face.denied}
+            face.note_unlike({person: value for person, value in odds.items() if value is not None})
         if before and not face.person:
             # Who was beside a face with a wrong name may be that person.
             for other in self._faces.values():
