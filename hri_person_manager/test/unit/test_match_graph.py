@@ -11,11 +11,14 @@ import pytest
 from hri_person_manager.core.features import Kind, MatchNode
 from hri_person_manager.core.match_graph import (
     MAX_PENDING_MATCHES,
+    MAX_SAID,
+    MAX_SAID_NAMES,
     Association,
     CandidateMatch,
     MatchGraph,
     MatchGuard,
     RateLimit,
+    SaidNames,
     path_products,
 )
 from hri_person_manager.core.partition import Work, best_partition
@@ -138,9 +141,10 @@ def test_nothing_is_carried_where_another_link_stays():
 def test_the_number_of_edges_is_bounded():
     graph = MatchGraph(max_edges=10)
     for number in range(100):
-        graph.set(face("f%d" % number), body("b"), 0.9)
+        for name in ("f0", "f%d" % number):
+            graph.set(face(name), body("b"), 0.9)
     assert len(graph) == 10
-    assert graph.likelihood(face("f99"), body("b")) == 0.9
+    assert {graph.likelihood(face(name), body("b")) for name in ("f0", "f99")} == {0.9}, "f0 is told again and again"
 
 
 def affinity(group, edges):
@@ -404,6 +408,8 @@ def test_the_rate_is_limited_and_recovers():
     assert sum(taken) == 10
     assert guard.check("f1", 2, "b1", 3, 0.5, 1.0) is not None
     assert guard.check("f1", 2, "b1", 3, 0.5, -100.0) is not None   # time jumped back
+    assert sum(guard.check("f1", 2, "b1", 3, 0.5, 1000.0) is not None for _ in range(100)) == 10, "after a pause, too"
+    assert guard.accepted == 22
 
 
 def test_what_was_said_before_somebody_was_forgotten_and_comes_later_is_dropped():
@@ -413,6 +419,38 @@ def test_what_was_said_before_somebody_was_forgotten_and_comes_later_is_dropped(
     assert guard.check("f1", 2, "bob", 1, 0.9, 101.0) is not None
     assert guard.check("f1", 2, "ann", 1, 0.9, 103.0) is not None, "a recogniser that knows her still"
     assert not sum(guard.refused.values())
+    guard.forget("bob", 104.0)
+    assert list(guard._forgotten) == ["bob"], "of those forgotten before no name is kept"
+
+
+def test_of_the_names_that_one_recogniser_has_for_a_face_all_but_the_best_and_newest_are_doubted():
+    said = SaidNames()
+
+    def doubted(name, likelihood, sender="eyes", of=F1):
+        said.note(sender, of, name, likelihood)
+        return said.doubted(F1)
+
+    assert doubted("ann", 0.8) == set()
+    assert doubted("bob", 0.8) == {"ann"}, "of two as good the newer one is right"
+    assert doubted("cho", 0.7) == {"ann", "cho"}
+    assert doubted("eve", 0.9, of=F2) == doubted("cho", 0.9, of=F2) == {"ann", "cho"}, "of another face"
+    assert doubted("ann", 0.6, "others") == {"cho"}, "another recogniser prefers it"
+    assert doubted("bob", 0.0) == {"cho"}, "withdrawn"
+    said.forget("ann")
+    assert said.doubted(F1) == set() and doubted("dan", 0.5) == {"dan"}
+    said.retain({F2}.__contains__)
+    assert said.doubted(F1) == set() and doubted("dan", 0.5) == set(), "the face had gone"
+    assert said.doubted(F2) == {"eve"}
+
+
+def test_names_of_faces_are_bounded():
+    said = SaidNames()
+    for number in range(3 * MAX_SAID_NAMES):
+        said.note("eyes", F1, "p%d" % number, 0.8)
+    assert len(said.doubted(F1)) == MAX_SAID_NAMES - 1
+    for number in range(MAX_SAID):
+        said.note("eyes", face("x%d" % number), "ann", 0.8)
+    assert said.doubted(F1) == set()
 
 
 def test_illegal_rate():
