@@ -13,7 +13,16 @@ from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import CandidateMatch
 from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
 from hri_person_manager.core.triangulation import Scale, SensorTrack, ray_covariance
-from hri_person_manager.core.view_groups import View, clothes_evidence, evidence_of_pairs, fuse_views, place_by_all
+from hri_person_manager.core.view_groups import (
+    MAX_NAMES,
+    MAX_SENSORS,
+    View,
+    ViewGroups,
+    clothes_evidence,
+    evidence_of_pairs,
+    fuse_views,
+    place_by_all,
+)
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.tracks import COLOUR_BINS
 
@@ -571,6 +580,22 @@ def test_what_is_kept_is_bounded():
     groups = room.manager._cameras._groups
     assert not groups.tracks and not groups.view_of and len(groups.all) <= 2 and len(groups.near) <= 2
     assert sum(map(len, groups.two.values())) <= 4 and len(room.manager.merges) <= 2
+
+
+def test_cameras_and_names_are_bounded():
+    groups, faces = ViewGroups(), [MatchNode(Kind.FACE, "f%d" % number) for number in range(MAX_SENSORS + 1)]
+    tracks = [groups.track(feature, feature.id) for feature in faces]
+    assert None not in tracks[:-1] and tracks[-1] is None
+    assert groups.track(faces[0], "f0") is tracks[0] is not groups.track(faces[0], "f1")
+    for number in range(MAX_NAMES + 5):
+        for name in ("first", "p%d" % number):
+            groups.note_namer(name, "eyes")
+        groups.part("p%d" % number, "q")
+        view = View(number, "left")
+        view.names = frozenset(["p%d" % number])
+        groups.note_names([view])
+    assert {len(kept) for kept in (groups.namers, groups.parted, groups.named_by)} == {MAX_NAMES}
+    assert "first" in groups.namers, "it is said again and again"
 
 
 def place_of(track, x, stamp, source=PlaceSource.FACE):
