@@ -16,6 +16,7 @@ from hri_person_manager.core.triangulation import Scale, SensorTrack, ray_covari
 from hri_person_manager.core.view_groups import (
     MAX_NAMES,
     MAX_SENSORS,
+    SensedGroup,
     View,
     ViewGroups,
     clothes_evidence,
@@ -580,6 +581,36 @@ def test_what_is_kept_is_bounded():
     groups = room.manager._cameras._groups
     assert not groups.tracks and not groups.view_of and len(groups.all) <= 2 and len(groups.near) <= 2
     assert sum(map(len, groups.two.values())) <= 4 and len(room.manager.merges) <= 2
+
+
+F1, F2, B1, B2 = (MatchNode(kind, name) for kind, name in (
+    (Kind.FACE, "f1"), (Kind.FACE, "f2"), (Kind.BODY, "b1"), (Kind.BODY, "b2")))
+
+
+def sensed(groups, *features):
+    """Group the features, all of which one camera sees; returns the numbers of the groups, by feature."""
+    groups.regroup([SensedGroup(frozenset(group), "") for group in features])
+    seen = {feature for group in features for feature in group}
+    assert set(groups.tracks) == set(groups.view_of) == seen
+    assert {frozenset(view.tracks) for view in groups.views()} == set(map(frozenset, features))
+    assert all(groups.view_of[feature] is view for view in groups.views() for feature in view.tracks)
+    assert {groups.group_of[view.number] for view in groups.views()} == set(groups.all.values())
+    return {feature: groups.group_of[groups.view_of[feature].number].number for feature in seen}
+
+
+def test_a_view_goes_on_as_long_as_one_of_its_features_does():
+    groups = ViewGroups()
+    for feature in (F1, F2, B1, B2):
+        groups.track(feature, "left")
+    apart = sensed(groups, [F1], [F2], [B1], [B2])
+    joined = sensed(groups, [F1, B1], [F2, B2])
+    assert len(set(apart.values())) == 4 and joined == {
+        F1: apart[F1], B1: apart[F1], F2: apart[F2], B2: apart[F2]}
+    assert sensed(groups, [F1, B2], [F2, B1]) == {F1: joined[F1], B2: joined[F1], F2: joined[F2], B1: joined[F2]}
+    parted = sensed(groups, [F1, B1], [F2], [B2])
+    assert parted == {F1: joined[F1], B1: joined[F1], F2: joined[F2], B2: parted[B2]}
+    assert parted[B2] not in joined.values()
+    assert sensed(groups, [F2, B2]) == {F2: joined[F2], B2: joined[F2]}, "the older one, as they are one"
 
 
 def test_cameras_and_names_are_bounded():
