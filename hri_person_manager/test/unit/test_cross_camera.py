@@ -13,7 +13,17 @@ from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import CandidateMatch
 from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
 from hri_person_manager.core.triangulation import Scale, SensorTrack, ray_covariance
-from hri_person_manager.core.view_groups import View, clothes_evidence, evidence_of_pairs, fuse_views, place_by_all
+from hri_person_manager.core.view_groups import (
+    MAX_NAMES,
+    MAX_SENSORS,
+    SensedGroup,
+    View,
+    ViewGroups,
+    clothes_evidence,
+    evidence_of_pairs,
+    fuse_views,
+    place_by_all,
+)
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.tracks import COLOUR_BINS
 
@@ -571,6 +581,52 @@ def test_what_is_kept_is_bounded():
     groups = room.manager._cameras._groups
     assert not groups.tracks and not groups.view_of and len(groups.all) <= 2 and len(groups.near) <= 2
     assert sum(map(len, groups.two.values())) <= 4 and len(room.manager.merges) <= 2
+
+
+F1, F2, B1, B2 = (MatchNode(kind, name) for kind, name in (
+    (Kind.FACE, "f1"), (Kind.FACE, "f2"), (Kind.BODY, "b1"), (Kind.BODY, "b2")))
+
+
+def sensed(groups, *features):
+    """Group the features, all of which one camera sees; returns the numbers of the groups, by feature."""
+    groups.regroup([SensedGroup(frozenset(group), "") for group in features])
+    seen = {feature for group in features for feature in group}
+    assert set(groups.tracks) == set(groups.view_of) == seen
+    assert {frozenset(view.tracks) for view in groups.views()} == set(map(frozenset, features))
+    assert all(groups.view_of[feature] is view for view in groups.views() for feature in view.tracks)
+    assert {groups.group_of[view.number] for view in groups.views()} == set(groups.all.values())
+    return {feature: groups.group_of[groups.view_of[feature].number].number for feature in seen}
+
+
+def test_a_view_goes_on_as_long_as_one_of_its_features_does():
+    groups = ViewGroups()
+    for feature in (F1, F2, B1, B2):
+        groups.track(feature, "left")
+    apart = sensed(groups, [F1], [F2], [B1], [B2])
+    joined = sensed(groups, [F1, B1], [F2, B2])
+    assert len(set(apart.values())) == 4 and joined == {
+        F1: apart[F1], B1: apart[F1], F2: apart[F2], B2: apart[F2]}
+    assert sensed(groups, [F1, B2], [F2, B1]) == {F1: joined[F1], B2: joined[F1], F2: joined[F2], B1: joined[F2]}
+    parted = sensed(groups, [F1, B1], [F2], [B2])
+    assert parted == {F1: joined[F1], B1: joined[F1], F2: joined[F2], B2: parted[B2]}
+    assert parted[B2] not in joined.values()
+    assert sensed(groups, [F2, B2]) == {F2: joined[F2], B2: joined[F2]}, "the older one, as they are one"
+
+
+def test_cameras_and_names_are_bounded():
+    groups, faces = ViewGroups(), [MatchNode(Kind.FACE, "f%d" % number) for number in range(MAX_SENSORS + 1)]
+    tracks = [groups.track(feature, feature.id) for feature in faces]
+    assert None not in tracks[:-1] and tracks[-1] is None
+    assert groups.track(faces[0], "f0") is tracks[0] is not groups.track(faces[0], "f1")
+    for number in range(MAX_NAMES + 5):
+        for name in ("first", "p%d" % number):
+            groups.note_namer(name, "eyes")
+        groups.part("p%d" % number, "q")
+        view = View(number, "left")
+        view.names = frozenset(["p%d" % number])
+        groups.note_names([view])
+    assert {len(kept) for kept in (groups.namers, groups.parted, groups.named_by)} == {MAX_NAMES}
+    assert "first" in groups.namers, "it is said again and again"
 
 
 def place_of(track, x, stamp, source=PlaceSource.FACE):

@@ -11,11 +11,14 @@ import pytest
 from hri_person_manager.core.features import Kind, MatchNode
 from hri_person_manager.core.match_graph import (
     MAX_PENDING_MATCHES,
+    MAX_SAID,
+    MAX_SAID_NAMES,
     Association,
     CandidateMatch,
     MatchGraph,
     MatchGuard,
     RateLimit,
+    SaidNames,
     path_products,
 )
 from hri_person_manager.core.partition import Work, best_partition
@@ -46,7 +49,9 @@ def solve(edges, nodes=(), threshold=0.5):
     for first, second, value in edges:
         graph.set(first, second, value)
     everyone = set(nodes) | {node for edge in edges for node in edge[:2]}
-    return set(graph.solve(everyone, threshold).groups)
+    groups = graph.solve(everyone, threshold).groups
+    assert sorted(node for group in groups for node in group) == sorted(everyone)
+    return set(groups)
 
 
 def test_a_face_and_a_body_with_one_text_are_two_things():
@@ -58,6 +63,13 @@ def test_a_face_and_a_body_with_one_text_are_two_things():
 @pytest.mark.parametrize("likelihood, together", [(0.49, False), (0.5, True), (1.0, True)])
 def test_threshold(likelihood, together):
     assert (len(solve([(face("f"), body("b"), likelihood)])) == 1) == together
+
+
+@pytest.mark.parametrize("unlikely, mixed", [(0.45, False), (0.55, True)])
+def test_what_is_below_the_threshold_counts_for_nothing_among_those_that_others_link(unlikely, mixed):
+    groups = solve([(face("f1"), body("b1"), 0.6), (face("f1"), body("b2"), 0.9), (face("f2"), body("b2"), 0.6),
+                    (face("f2"), body("b1"), unlikely)])
+    assert (frozenset([face("f1"), body("b2")]) in groups) == mixed and len(groups) == 2
 
 
 def test_at_most_one_of_each_kind():
@@ -109,13 +121,29 @@ def test_path_products():
     assert frozenset("ad") not in products
 
 
+def test_who_are_told_to_be_two_part_and_nobody_else_does():
+    graph, apart = MatchGraph(), frozenset([F1, ANN])
+    for first, second, likelihood in ((F1, B1, 0.9), (B1, ANN, 0.8), (F2, B1, 0.6), (F2, B2, 0.9)):
+        graph.set(first, second, likelihood)
+    for refuted, groups in (((), [[F1, B1, ANN], [F2, B2]]), ((apart,), [[F1, B1], [ANN], [F2, B2]])):
+        found = graph.solve([F1, F2, B1, B2, ANN], 0.5, refuted)
+        assert set(found.groups) == set(map(frozenset, groups)) and not found.approximate
+
+
+def test_who_is_absent_links_nobody():
+    graph = MatchGraph()
+    for other in (face("f"), person("p")):
+        graph.set(body("b"), other, 0.9)
+    assert set(graph.solve([face("f"), person("p")], 0.5).groups) == {frozenset([face("f")]), frozenset([person("p")])}
+
+
 def test_withdrawal():
     graph = MatchGraph()
     assert graph.set(face("f"), body("b"), 0.9)
     assert not graph.set(face("f"), body("b"), 0.9)
     assert graph.set(face("f"), body("b"), 0.0)
     assert not graph.set(face("f"), body("b"), 0.0)
-    assert len(graph) == 0 and not graph.neighbours(face("f"))
+    assert len(graph) == 0 and not graph.neighbours(face("f")) and not graph._neighbours
 
 
 def test_the_link_through_a_leaving_node_is_carried():
@@ -124,23 +152,47 @@ def test_the_link_through_a_leaving_node_is_carried():
     graph.set(body("b"), person("p"), 0.7)
     graph.keep_linked(body("b"), [face("f"), body("b"), person("p")], 0.5)
     graph.remove(body("b"))
-    assert graph.likelihood(face("f"), person("p")) == 0.5
+    assert graph.edges() == [(person("p"), face("f"), 0.5)]
 
 
-def test_nothing_is_carried_where_another_link_stays():
+@pytest.mark.parametrize("known", [0.0, 0.4, 0.6])
+def test_who_is_linked_only_by_who_leaves_is_linked_over_the_best_way_and_once(known):
     graph = MatchGraph()
-    for first, second in combinations([face("f"), body("b"), person("p")], 2):
-        graph.set(first, second, 0.9)
-    graph.keep_linked(body("b"), [face("f"), body("b"), person("p")], 0.5)
-    assert graph.likelihood(face("f"), person("p")) == 0.9
+    graph.set(face("f"), person("p"), known)
+    for other, likelihood in ((face("f"), 0.9), (voice("v"), 0.8), (person("p"), 0.7)):
+        graph.set(body("b"), other, likelihood)
+    graph.keep_linked(body("b"), [face("f"), body("b"), voice("v"), person("p")], 0.5)
+    graph.remove(body("b"))
+    assert sorted(graph.edges()) == sorted([
+        (person("p"), face("f"), max(known, 0.5)), (face("f"), voice("v"), 0.5)])
+
+
+@pytest.mark.parametrize("known, refuted, left", [
+    ([(face("f"), person("p"), 0.9)], (), 0.9), ([], (), 0.5), ([], {frozenset([face("f"), person("p")])}, None)])
+def test_a_link_is_carried_where_none_stays_and_nobody_denies_it(known, refuted, left):
+    graph = MatchGraph()
+    for edge in [(face("f"), body("b"), 0.9), (body("b"), person("p"), 0.9), *known]:
+        graph.set(*edge)
+    graph.keep_linked(body("b"), [face("f"), body("b"), person("p"), voice("v")], 0.5, refuted)
+    assert graph.likelihood(face("f"), person("p")) == left and not graph.neighbours(voice("v"))
+
+
+@pytest.mark.parametrize("before, after", [(0.5, None), (0.4, None), (0.8, 0.8)])
+def test_a_body_that_keeps_the_name_of_a_face_that_leaves_keeps_none_of_an_earlier_face(before, after):
+    graph, names = MatchGraph(), (person("earlier"), person("p"), voice("v"))
+    for edge in zip((body("b"), face("f"), body("b"), face("f")), (*names, body("b")), (before, 0.9, 0.5, 0.9)):
+        graph.set(*edge)
+    graph.keep_linked(face("f"), [face("f"), body("b"), *names[1:]], 0.5)
+    assert [graph.likelihood(body("b"), name) for name in names] == [after, 0.5, 0.5]
 
 
 def test_the_number_of_edges_is_bounded():
     graph = MatchGraph(max_edges=10)
     for number in range(100):
-        graph.set(face("f%d" % number), body("b"), 0.9)
+        for name in ("f0", "f%d" % number):
+            graph.set(face(name), body("b"), 0.9)
     assert len(graph) == 10
-    assert graph.likelihood(face("f99"), body("b")) == 0.9
+    assert {graph.likelihood(face(name), body("b")) for name in ("f0", "f99")} == {0.9}, "f0 is told again and again"
 
 
 def affinity(group, edges):
@@ -404,6 +456,8 @@ def test_the_rate_is_limited_and_recovers():
     assert sum(taken) == 10
     assert guard.check("f1", 2, "b1", 3, 0.5, 1.0) is not None
     assert guard.check("f1", 2, "b1", 3, 0.5, -100.0) is not None   # time jumped back
+    assert sum(guard.check("f1", 2, "b1", 3, 0.5, 1000.0) is not None for _ in range(100)) == 10, "after a pause, too"
+    assert guard.accepted == 22
 
 
 def test_what_was_said_before_somebody_was_forgotten_and_comes_later_is_dropped():
@@ -413,6 +467,38 @@ def test_what_was_said_before_somebody_was_forgotten_and_comes_later_is_dropped(
     assert guard.check("f1", 2, "bob", 1, 0.9, 101.0) is not None
     assert guard.check("f1", 2, "ann", 1, 0.9, 103.0) is not None, "a recogniser that knows her still"
     assert not sum(guard.refused.values())
+    guard.forget("bob", 104.0)
+    assert list(guard._forgotten) == ["bob"], "of those forgotten before no name is kept"
+
+
+def test_of_the_names_that_one_recogniser_has_for_a_face_all_but_the_best_and_newest_are_doubted():
+    said = SaidNames()
+
+    def doubted(name, likelihood, sender="eyes", of=F1):
+        said.note(sender, of, name, likelihood)
+        return said.doubted(F1)
+
+    assert doubted("ann", 0.8) == set()
+    assert doubted("bob", 0.8) == {"ann"}, "of two as good the newer one is right"
+    assert doubted("cho", 0.7) == {"ann", "cho"}
+    assert doubted("eve", 0.9, of=F2) == doubted("cho", 0.9, of=F2) == {"ann", "cho"}, "of another face"
+    assert doubted("ann", 0.6, "others") == {"cho"}, "another recogniser prefers it"
+    assert doubted("bob", 0.0) == {"cho"}, "withdrawn"
+    said.forget("ann")
+    assert said.doubted(F1) == set() and doubted("dan", 0.5) == {"dan"}
+    said.retain({F2}.__contains__)
+    assert said.doubted(F1) == set() and doubted("dan", 0.5) == set(), "the face had gone"
+    assert said.doubted(F2) == {"eve"}
+
+
+def test_names_of_faces_are_bounded():
+    said = SaidNames()
+    for number in range(3 * MAX_SAID_NAMES):
+        said.note("eyes", F1, "p%d" % number, 0.8)
+    assert len(said.doubted(F1)) == MAX_SAID_NAMES - 1
+    for number in range(MAX_SAID):
+        said.note("eyes", face("x%d" % number), "ann", 0.8)
+    assert said.doubted(F1) == set()
 
 
 def test_illegal_rate():

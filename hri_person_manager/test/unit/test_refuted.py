@@ -52,6 +52,40 @@ def test_a_face_and_a_body_that_are_two_part_what_a_name_has_joined():
     assert face == "ann" and body.startswith("anonymous_person_")
 
 
+def test_who_is_told_again_and_again_to_be_two_is_so_after_a_second():
+    world = union()
+    for _ in range(15):
+        world.say(FACE, BODY, 0.0)
+        face, body = world.run(0.1)
+    assert face == "ann" != body
+
+
+def test_nobody_parts_before_a_second_is_over_whatever_else_is_told():
+    world = union()
+    world.say(FACE, BODY, 0.0)
+    world.run(0.3)
+    world.say(MatchNode(Kind.VOICE, "v1"), FACE, 0.9)
+    assert world.run(0.3) == ("ann", "ann")
+
+
+def test_a_face_and_a_body_that_fit_no_longer_so_well_are_not_told_to_be_two():
+    world = union()
+    world.say(FACE, BODY, 0.8)
+    world.run(0.5)
+    world.say(FACE, BODY, 0.2)
+    assert world.run(3.0) == ("ann", "ann")
+
+
+def test_what_is_told_of_a_body_that_is_not_there_yet_does_not_part_it_later():
+    world = World(bodies=())
+    world.say(FACE, ANN, 0.9)
+    world.say(FACE, BODY, 0.0)
+    world.run(2.0)
+    world.show(("f1", ), ("b1", ))
+    world.say(BODY, ANN, 0.6)
+    assert world.run(3.0) == ("ann", "ann")
+
+
 def test_the_weaker_link_ends():
     world = World()
     world.say(FACE, ANN, 0.6)

@@ -12,7 +12,14 @@ from hri_person_manager.core.location import CoastingMotion, Place
 from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import CandidateMatch
 from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
-from hri_person_manager.core.sensors import LONGEST_LAG_S, LONGEST_PERIOD_S, MEMORY_S, SensorTimes
+from hri_person_manager.core.sensors import (
+    LASTS_S,
+    LONGEST_LAG_S,
+    LONGEST_PERIOD_S,
+    MEMORY_S,
+    CameraMotion,
+    SensorTimes,
+)
 from hri_pipeline.core.geometry import Pose
 
 CLOCK_S = 1000.0     # by which the camera's clock is behind
@@ -64,15 +71,54 @@ def test_who_walks_goes_on_with_the_same_speed(rate):
     assert np.all(np.abs(told[told[:, 0] > 2.5, 1] - 1.0) < 0.2)
 
 
-@RATES
-@pytest.mark.parametrize("speed, wanted", [(0.0, 0.0), (1.0, 1.0)])
-def test_a_robot_that_drives_and_turns_changes_nothing(rate, speed, wanted):
+def driving(speed, turn):
+    """A robot that accelerates for 1 s, then drives at a speed (m/s), and pans its camera with a rate (rad/s), ramped
+    up as slowly, or by 45 degrees to and fro where that is None."""
     def drive(stamp):
-        way = 0.5 * min(stamp, 1.0) ** 2 + max(0.0, stamp - 1.0)      # accelerates for 1 s, then 1 m/s
-        pan = math.radians(45.0) * math.sin(2.0 * stamp)              # up to 90 degrees per second
-        return Pose(turned(pan), np.array([0.4 * way, 0.0, 0.0]))
+        way = 0.5 * min(stamp, 1.0) ** 2 + max(0.0, stamp - 1.0)
+        pan = math.radians(45.0) * math.sin(2.0 * stamp) if turn is None else turn * way     # up to 90 degrees/s
+        return Pose(turned(pan), np.array([speed * way, 0.0, 0.0]))
+    return drive
+
+
+@RATES
+@pytest.mark.parametrize("speed", [0.0, 1.0])
+def test_a_robot_that_drives_and_turns_changes_nothing(rate, speed):
+    drive = driving(0.4, None)
     told = speeds(rate, lambda stamp: (drive(stamp),) * 2, lambda stamp: np.array([3.0, speed * stamp, 1.6]))
-    assert np.all(np.abs(told[told[:, 0] > 2.5, 1] - wanted) < 0.12)
+    assert np.all(np.abs(told[told[:, 0] > 2.5, 1] - speed) < 0.12)
+
+
+def jumps(rate, camera):
+    """The times (s) at which the camera is taken to jump."""
+    motion = CameraMotion()
+    return [stamp for stamp in np.arange(0.0, 5.0, 1.0 / rate) if motion.see(camera(stamp), 1.0 / rate) is not None]
+
+
+@RATES
+@pytest.mark.parametrize("speed, turn", [(2.0, 0.0), (0.0, 3.5)])
+def test_a_fast_robot_does_not_jump(rate, speed, turn):
+    assert not jumps(rate, driving(speed, turn))
+
+
+@RATES
+@pytest.mark.parametrize("jump", [(4.0, 1.0, 0.0), (0.0, 0.0, math.radians(60.0))])
+def test_a_jump_is_over_soon_however_large_it_was(rate, jump):
+    camera = localised(jump, driving(0.8, 0.0))
+    assert 3.0 - 1e-6 < max(jumps(rate, lambda stamp: camera(stamp)[0])) < 3.0 + LASTS_S + 1.0 / rate
+
+
+def test_where_the_camera_is_not_known_in_between_nothing_jumps_and_afterwards_it_may():
+    motion, here = CameraMotion(), Pose.identity()
+    for pose, step in ((None, 0.1), (here, 0.1), (here, 0.1), (None, 0.1), (here, 0.1), (here, 0.1)):
+        assert motion.see(pose, step) is None
+    assert motion.see(Pose(np.eye(3), np.array([0.3, 0.0, 0.0])), 0.1).translation == pytest.approx([0.3, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("angle", np.linspace(0.1, 3.1, 20))
+def test_a_camera_that_stands_turned_by_any_angle_does_not_jump(angle):
+    motion, pose = CameraMotion(), Pose(turned(angle), np.zeros(3))
+    assert [motion.see(pose, step) for step in (0.0, 0.1, 0.1)] == [None] * 3
 
 
 def test_the_way_of_a_robot_while_somebody_was_out_of_sight_is_no_jump():
@@ -135,7 +181,8 @@ def test_more_than_the_longest_lag_is_a_clock_that_was_set():
     note(times, [0.0], 0.2)
     late, very_late = 0.2 + LONGEST_LAG_S - 0.1, 0.2 + LONGEST_LAG_S + 0.1
     assert note(times, [1.0], late) == pytest.approx([LONGEST_LAG_S - 0.1])
-    assert note(times, [2.0, 3.0], very_late) == pytest.approx([0.0, 0.0])
+    assert note(times, [2.0], very_late) == pytest.approx([0.0])
+    assert note(times, [3.0], very_late + 1.0) == pytest.approx([1.0])
 
 
 def test_what_comes_after_a_long_pause_tells_no_period():
@@ -143,4 +190,18 @@ def test_what_comes_after_a_long_pause_tells_no_period():
     note(times, [0.0, LONGEST_PERIOD_S + 1.0], 0.2)
     assert times.period("camera") is None
     note(times, [LONGEST_PERIOD_S + 1.5], 0.2)
-    assert times.period("camera") == pytest.approx(0.5)
+    assert times.period("camera") == pytest.approx(0.5) and times.period("other") is None
+
+
+def test_an_image_that_comes_late_makes_no_period_longer():
+    times = SensorTimes()
+    note(times, [1.0, 0.95, 1.1], 0.2)
+    assert times.period("camera") == pytest.approx(0.1)
+
+
+def test_sensors_are_bounded_and_those_that_began_first_go_first():
+    times = SensorTimes()
+    for number in range(150):
+        times.note("s%d" % number, "face", 2000.0, 2000.0)
+        times.note("first", "face", 1000.0 - number, 2000.0)       # its clock jumps back again and again
+    assert list(times._sensors) == [*("s%d" % number for number in range(51, 150)), "first"]

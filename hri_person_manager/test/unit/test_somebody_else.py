@@ -21,9 +21,10 @@ HER, HIM, BODY = MatchNode(Kind.FACE, "f1"), MatchNode(Kind.FACE, "f2"), MatchNo
 
 
 class Picture:
-    """What one camera sees, all at one place."""
+    """What one camera sees, all at one place, or `apart` m from each other by the numbers in their ids."""
 
-    def __init__(self):
+    def __init__(self, apart=0.0):
+        self.apart = apart
         numbers = itertools.count(1)
         self.manager = PersonManager(PERSON_MANAGER_PARAMETERS.resolve({}), lambda: "a%04d" % next(numbers))
         self.now = 0.0
@@ -35,7 +36,7 @@ class Picture:
             self.manager.on_tracked(Kind.BODY, bodies, self.now)
             for source, ids, far in ((PlaceSource.FACE, faces, 1.0), (PlaceSource.HEAD, bodies, 1.05)):
                 for feature in ids:
-                    place = Place("map", Pose(np.eye(3), np.array([far, 0.0, 1.6])), self.now,
+                    place = Place("map", Pose(np.eye(3), np.array([far, self.apart * int(feature[1]), 1.6])), self.now,
                                   origin=np.array([0.0, 0.0, 1.5]))
                     self.manager.on_place(source, feature, place, self.now, "camera")
             self.manager.tick(self.now)
@@ -235,6 +236,27 @@ def test_a_name_from_before_a_restart_stays_when_the_recogniser_says_it_again():
     picture.say(HER, BOB, 0.6)
     picture.show(2.0, ["f1"], [])
     assert picture.tracked == {"ann"}
+
+
+@pytest.mark.parametrize("first", ["f1", "f2"])
+@pytest.mark.parametrize("both", [True, False])
+def test_two_whose_bodies_were_taken_for_each_others_stay_two_when_that_is_mended(first, both):
+    picture, other = Picture(apart=1.5), MatchNode(Kind.BODY, "b2")
+    picture.show(0.5, [first], [])
+    picture.show(0.5, ["f1", "f2"], ["b1", "b2"])
+    wrong = (HER, other), (HIM, BODY)
+    for pair in wrong:
+        picture.say(*pair)
+    picture.show(3.0, ["f1", "f2"], ["b1", "b2"])
+    before = picture.tracked
+    for pair in wrong:
+        picture.say(*pair, 0.0)
+    for pair in ((HER, BODY), (HIM, other))[:1 + both]:
+        picture.say(*pair)
+    picture.show(5.0, ["f1", "f2"], ["b1", "b2"])
+    assert len(before) == 2 and before <= picture.tracked and not picture.manager.merges
+    of_faces, of_bodies = (list(map(picture.manager.person_of, nodes)) for nodes in ((HER, HIM), (BODY, other)))
+    assert of_faces[0] == of_bodies[0] != of_faces[1] and (of_faces == of_bodies) == both
 
 
 def test_a_match_that_was_wrong_for_a_moment_swaps_no_two_anonymous_persons():

@@ -79,6 +79,16 @@ def test_the_old_id_of_a_body_that_has_begun_anew_is_nobody_else():
     where.add(MatchNode(Kind.BODY, "b2"), PlaceSource.HEAD, place(0.0, 10.0), 10.0, "camera")
     groups = [[BODY], [MatchNode(Kind.BODY, "b2"), ANN]]
     assert matches({BODY: 0.0}, groups, where, now=60.0) == {BODY}
+    for name, stamp in (("f", 8.0), ("f2", 10.0)):
+        where.add(MatchNode(Kind.FACE, name), PlaceSource.FACE, place(0.0, stamp), stamp, "camera")
+    groups = [[FACE], [BODY], [MatchNode(Kind.BODY, "b2"), MatchNode(Kind.FACE, "f2")]]
+    assert matches({FACE: 10.0}, groups, where) == set(), "nor the body of a new face; and faces are not outdated"
+
+
+def test_a_face_and_a_body_that_are_known_as_two_keep_a_new_body_waiting_for_the_face():
+    new = MatchNode(Kind.BODY, "b2")
+    groups = [[FACE, ANN], [BODY, MatchNode(Kind.PERSON, "bob")], [new]]
+    assert matches({new: 10.0}, groups, places(f=0.0, b=0.0, b2=0.1)) == {new}
 
 
 def test_who_has_no_place_yet_waits_beside_a_half_that_has_one():

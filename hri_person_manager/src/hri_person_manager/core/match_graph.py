@@ -254,7 +254,7 @@ class MatchGraph:
         for feature, person in ((first, second), (second, first)):
             if person.kind == Kind.PERSON != feature.kind:
                 for other, likelihood in list(self.neighbours(feature).items()):
-                    if other.kind == Kind.PERSON and other != person and likelihood <= threshold:
+                    if other.kind == Kind.PERSON and likelihood <= threshold:
                         self._drop(feature, other)
 
     def component(self, start: MatchNode, threshold: float, present: Callable[[MatchNode], bool]) -> List[MatchNode]:
@@ -363,7 +363,7 @@ def path_products(members: Sequence[MatchNode],
     pairs = (frozenset(pair) for pair in combinations(members, 2))
     best = {pair: edges[pair] for pair in pairs if pair in edges}
     for middle in members:
-        for first, second in combinations([node for node in members if node != middle], 2):
+        for first, second in combinations(members, 2):
             product = best.get(frozenset((first, middle)), 0.0) * best.get(frozenset((middle, second)), 0.0)
             if product > best.get(frozenset((first, second)), 0.0):
                 best[frozenset((first, second))] = product

@@ -77,7 +77,8 @@ class DemographicsFusion:
         female = {FEMALE: gender_confidence, MALE: 1.0 - gender_confidence}.get(gender, 0.5)
         known = gender_confidence if gender in (FEMALE, MALE) else 0.0
         self._faces.pop(face_id, None)
-        self._faces[face_id] = _Face(age, age_confidence, female, known, stamp)
+        if age_confidence > 0.0 or known > 0.0:
+            self._faces[face_id] = _Face(age, age_confidence, female, known, stamp)
         while len(self._faces) > _MAX_FACES:
             self._faces.popitem(last=False)
         self._estimate = self._fuse()
@@ -89,7 +90,7 @@ class DemographicsFusion:
 
     def _fuse(self) -> Optional[DemographicsEstimate]:
         """The faces are one human's, so their errors go together: confidences are averaged, not multiplied."""
-        faces = [face for face in self._faces.values() if face.age_confidence > 0.0 or face.gender_confidence > 0.0]
+        faces = self._faces.values()
         if not faces:
             return None
         weight = sum(face.age_confidence for face in faces)
@@ -108,10 +109,10 @@ class DemographicsFusion:
 def _age_confidence(confidence: float, variance: float) -> float:
     """Return the probability that a mean age is right within AGE_TOLERANCE, of faces that each have a `confidence` and
     differ, so that their mean has this variance (years^2) besides."""
-    if not (confidence > 0.0 and variance > 0.0):
+    if not variance > 0.0:
         return confidence
-    deviation = AGE_TOLERANCE / NormalDist().inv_cdf(0.5 + 0.5 * min(confidence, 0.999))
-    return math.erf(AGE_TOLERANCE / math.sqrt(2.0 * (deviation ** 2 + variance)))
+    within = NormalDist().inv_cdf(0.5 + 0.5 * min(confidence, 0.999))       # AGE_TOLERANCE in standard deviations
+    return math.erf(AGE_TOLERANCE * within / math.sqrt(2.0 * (AGE_TOLERANCE ** 2 + variance * within ** 2)))
 
 
 class RegisterError(ValueError):
@@ -320,7 +321,7 @@ class PersonRegister:
         that has begun anew since. A store keeps everybody, within its limits."""
         if self._store is not None:
             return
-        joined = {record.alias for record in self._records.values() if record.alias}
+        joined = {record.alias for record in self._records.values()}
         for record in [record for record in self._records.values() if not (
                 record.id in person_ids or record.id in self._borrowed or record.id in joined or record.name
                 or record.native_language or record.enrolled or record.alias)]:
@@ -478,7 +479,7 @@ def _row(record: PersonRecord) -> StoredPerson:
 def _estimate(mapping: Mapping[str, Any]) -> Optional[DemographicsEstimate]:
     """The estimate that was stored; None for none, or one of another version."""
     try:
-        return DemographicsEstimate(**mapping) if mapping else None
+        return DemographicsEstimate(**mapping)
     except TypeError:
         return None
 

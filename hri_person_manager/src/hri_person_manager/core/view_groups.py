@@ -224,16 +224,20 @@ class ViewGroups:
     # ----- who belongs together at one sensor
 
     def regroup(self, groups: Iterable[SensedGroup]) -> None:
-        """Make the views anew; a view goes on as long as one of its features does."""
+        """Make the views anew; a view goes on as long as one of its features does, and with its face."""
+        groups = tuple(groups)
         taken: Set[int] = set()
         seen: Set[MatchNode] = set()
+        faces = {feature for group in groups for feature in group.features if feature.kind == Kind.FACE}
         for group in groups:
             by_sensor: Dict[str, List[MatchNode]] = {}
             for feature in sorted(group.features):
                 if feature in self.tracks:
                     by_sensor.setdefault(self.tracks[feature].sensor, []).append(feature)
             for sensor, features in by_sensor.items():
-                view = self._view_for(sensor, features, taken, group)
+                going_on = {view.number: view for view in map(self.view_of.get, features) if view is not None
+                            and view.number not in taken and faces.intersection(view.tracks) <= group.features}
+                view = self._view_for(sensor, features, going_on, group)
                 taken.add(view.number)
                 seen.update(features)
                 view.person, view.names, view.doubted = group.person, group.names, group.doubted
@@ -247,10 +251,8 @@ class ViewGroups:
             if not view.tracks:
                 self._remove(view)
 
-    def _view_for(self, sensor: str, features: List[MatchNode], taken: Set[int], group: SensedGroup) -> View:
-        """Return the view of these features of a group: that of any of them, all as one, else a new one."""
-        known = {view.number: view for view in (self.view_of.get(feature) for feature in features)
-                 if view is not None and view.number not in taken}
+    def _view_for(self, sensor: str, features: List[MatchNode], known: Mapping[int, View], group: SensedGroup) -> View:
+        """Return the view of these features of a group: of those known, by number, all as one, else a new one."""
         view = known[min(known)] if known else View(next(self._numbers), sensor)
         if not known:
             self.all[view.number] = self.group_of[view.number] = ViewGroup(view.number, view)
