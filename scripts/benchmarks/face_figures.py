@@ -217,17 +217,24 @@ def expressions(models: Path) -> Dict[str, Dict[str, float]]:
         camera = _photograph_camera(image)
         stage.reset()
         faces: List[FaceObservation] = []
+        latest: Dict[str, Optional[str]] = {}
         for index in range(15):
             faces = stage.update(image, camera, 1000.0 + 0.1 * index, None, FaceDemand.everything(stage.tracked_ids))
+            latest.update(expressions_told(faces))
         boxes = np.array([face.box for face in faces]).reshape(-1, 4)
         for label in group:
             row = nearest_face(label, boxes, image.shape)
-            expression = None if row is None else faces[row].expression
-            told[label] = None if expression is None else expression.category
+            told[label] = None if row is None else latest.get(faces[row].id)
     stage.close()
     halves = {"expression": [label for label in labels if not label.file.startswith(TUNING)],
               "tuned": [label for label in labels if label.file.startswith(TUNING)]}
     return {name: _told(half, told) for name, half in halves.items()}
+
+
+def expressions_told(faces: Sequence[FaceObservation]) -> Dict[str, Optional[str]]:
+    """Return what an image says of the expression of each face, by id, None: nothing. Of a face that was not measured
+    in it, which the next images do, it does not speak: what was told before stands."""
+    return {face.id: None if face.expression is None else face.expression.category for face in faces if face.measured}
 
 
 def _told(labels: Sequence[LabelledFace], told: Mapping[LabelledFace, Optional[str]]) -> Dict[str, float]:

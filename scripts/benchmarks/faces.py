@@ -23,6 +23,7 @@ KEYS: Keys = (
     ("cpu_ms_1", "<= 10 ms", most(10.0)), ("cpu_ms_3", "<= 16 ms", most(16.0)),
     ("cpu_ms_10", "<= 35 ms", most(35.0)),
     ("pose_mae_deg", "<= 2 deg each", _all_most(2.0)), ("pose_position_percent", "<= 3 %", most(3.0)),
+    ("turned_heads", "(told)", told),
     ("face_body_depth_ratio_median", "0.85 .. 1.15",
      lambda value: isinstance(value, float) and 0.85 <= value <= 1.15),
     ("eyes_closed", "(told)", told),
@@ -31,7 +32,7 @@ KEYS: Keys = (
 
 PARTS: Dict[str, Sequence[str]] = {
     "cpu": ("cpu_ms_1", "cpu_ms_3", "cpu_ms_10"), "pose": ("pose_mae_deg", "pose_position_percent"),
-    "depth": ("face_body_depth_ratio_median",),
+    "turned": ("turned_heads",), "depth": ("face_body_depth_ratio_median",),
     "eyes": ("eyes_closed",), "expression": ("expression",),
     "recognition": ("recognition",)}
 SUBJECT = Subject("faces", "processor time, poses, eyes, expressions and recognition of faces", KEYS, PARTS, {
@@ -63,6 +64,9 @@ def _measure(part: str) -> Dict[str, object]:
         yaw, pitch, roll, position = face_figures.pose_errors()
         return {"pose_mae_deg": {"yaw": round(yaw, 3), "pitch": round(pitch, 3), "roll": round(roll, 3)},
                 "pose_position_percent": round(position, 3)}
+    if part == "turned":
+        from benchmarks import turned_heads
+        return {"turned_heads": turned_heads.figures(models)}
     if part == "depth":
         from benchmarks.body_fit import face_body_depth_ratio_median
         return {"face_body_depth_ratio_median": face_body_depth_ratio_median(models)}

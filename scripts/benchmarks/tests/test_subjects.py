@@ -17,7 +17,7 @@ import benchmarks
 
 MACHINE = {"cpu": "x", "cores": 2, "system": "y", "load_average": [0.1, 0.2, 0.3], "versions": {}}
 FIGURES = {
-    "faces": "cpu_ms_1 cpu_ms_3 cpu_ms_10 pose_mae_deg pose_position_percent face_body_depth_ratio_median "
+    "faces": "cpu_ms_1 cpu_ms_3 cpu_ms_10 pose_mae_deg pose_position_percent turned_heads face_body_depth_ratio_median "
              "eyes_closed expression recognition",
     "bodies": "mpjpe_height_only_mm mpjpe_limbs_mm wave_lag_ms ik_ms_1 ik_ms_10 stature_bias_mm stature_sd_mm "
               "stature_no_legs_sd_mm attitude waving_false posture photographs stature",
