@@ -188,6 +188,19 @@ def test_a_gpu_gets_batches_of_a_few_sizes_that_were_warmed_up(doubler, machine)
     assert log.inferences == {"doubler": 63}
 
 
+def test_a_gpu_reads_a_batch_with_room_where_it_is(doubler, machine):
+    """To copy ten windows of bodies, to fill them up, took 6 % of an image of ten people."""
+    machine("CUDAExecutionProvider")
+    log = ModelLog(lambda text: None)
+    model = OnnxModel(doubler, ["cuda"], notify=log, batch_sizes=(3, 6))
+    assert [model.room(count) for count in (1, 3, 4, 6, 7)] == [3, 3, 6, 6, 7]
+    batch, seen, run = np.full((6, 2), 9.0, np.float32), [], model._batched[6].run
+    model._batched[6].run = lambda wanted, feed: seen.append(feed["x"]) or run(wanted, feed)
+    _, found = model.run_items([3, 1, 4, 5], lambda item, place: place.fill(item), batch)
+    np.testing.assert_array_equal(found["y"], [[6, 6], [2, 2], [8, 8], [10, 10]])
+    assert np.shares_memory(seen[0], batch) and log.inferences == {"doubler": 4}
+
+
 @pytest.mark.parametrize(("cpu", "card", "few"), [
     (4.0, {3: 8.5, 6: 9.0}, 2), (9.0, {3: 8.5, 6: 9.1}, 0), (1.0, {3: 30.0, 6: 5.0}, 5), (1.0, {3: 30.0, 6: 60.0}, 6)])
 def test_a_few_items_run_on_the_cpu_beside_a_gpu_while_that_is_as_fast(doubler, machine, monkeypatch, cpu, card, few):

@@ -224,6 +224,11 @@ class OnnxModel:
         """Whether it runs on a GPU."""
         return self.provider in ("cuda", "tensorrt")
 
+    def room(self, count: int) -> int:
+        """How many items the batch of `run_items` is best made for, where it has `count`: a GPU's is filled up, and to
+        copy it for that takes some milliseconds."""
+        return next((size for size in self._sizes if size >= count), count) if self._batched else count
+
     def run_items(self, items: Sequence[Item], prepare: Callable[[Item, np.ndarray], Result],
                   batch: np.ndarray) -> Tuple[List[Result], Dict[str, np.ndarray]]:
         """Prepare items and run the model on them, shared by its threads; on a GPU they only prepare.
@@ -235,7 +240,7 @@ class OnnxModel:
         prepare : callable
             Writes an item into its place of the batch; several threads call it.
         batch : numpy.ndarray
-            (len(items), ...), the input.
+            (len(items) or more, ...), the input; see `room`. What is behind the items is zero, or of earlier ones.
 
         Returns
         -------
@@ -260,11 +265,13 @@ class OnnxModel:
 
         numbers = range(len(items))
         if self.threads.count == 1:
-            return self._all_threads.in_parts(fill, numbers), self.run({name: batch[:len(items)]})
+            prepared = self._all_threads.in_parts(fill, numbers)
+            return prepared, self.run({name: batch[:len(items)]}, room={name: batch})
         done = self.threads.in_parts(fill_and_run, numbers)
         return [one for one, _ in done], {key: np.concatenate([found[key] for _, found in done]) for key in done[0][1]}
 
-    def run(self, feed: Dict[str, np.ndarray], outputs: Optional[Sequence[str]] = None) -> Dict[str, np.ndarray]:
+    def run(self, feed: Dict[str, np.ndarray], outputs: Optional[Sequence[str]] = None,
+            room: Optional[Dict[str, np.ndarray]] = None) -> Dict[str, np.ndarray]:
         """Run the model.
 
         Parameters
@@ -273,6 +280,8 @@ class OnnxModel:
             Arrays by the names of inputs.
         outputs : sequence of str, optional
             Names of the wanted outputs, instead of those named at the begin.
+        room : dict of str to numpy.ndarray, optional
+            Arrays that begin with those of `feed` and are longer: what follows may fill up a GPU's batch.
 
         Returns
         -------
@@ -286,7 +295,7 @@ class OnnxModel:
         """
         wanted = self._wanted if outputs is None else list(outputs)
         try:
-            values = self._run(feed, wanted)
+            values = self._run(feed, wanted, room or feed)
         except Exception as error:  # onnxruntime's errors have no common base class but Exception
             shapes = {name: getattr(value, "shape", None) for name, value in feed.items()}
             raise ModelError("model {} refused input {}: {}".format(
@@ -295,13 +304,14 @@ class OnnxModel:
             self._log.count(self.name, len(next(iter(feed.values()))))
         return dict(zip(wanted, values))
 
-    def _run(self, feed: Dict[str, np.ndarray], wanted: List[str]) -> List[np.ndarray]:
+    def _run(self, feed: Dict[str, np.ndarray], wanted: List[str], room: Dict[str, np.ndarray]) -> List[np.ndarray]:
         """Run on the provider; where it fails, and the CPU does not, on the CPU from now on."""
         provider = self.provider
         try:
             if provider == "cpu":
                 return self._run_on_cpu(feed, wanted)
-            return self._run_batched(feed, wanted) if self._batched else self._session_of(feed).run(wanted, feed)
+            return (self._run_batched(feed, wanted, room) if self._batched
+                    else self._session_of(feed).run(wanted, feed))
         except Exception as error:
             if provider == "cpu":
                 raise
@@ -345,18 +355,17 @@ class OnnxModel:
             self._use(session)      # the last: who sees this provider runs on nothing else
         self._notify("{}; it runs on the CPU from now on".format(why))
 
-    def _run_batched(self, feed: Dict[str, np.ndarray], wanted: List[str]) -> List[np.ndarray]:
+    def _run_batched(self, feed: Dict[str, np.ndarray], wanted: List[str],
+                     room: Dict[str, np.ndarray]) -> List[np.ndarray]:
         """Run batches of the prepared sizes; what was filled up is left out of the outputs."""
         count = len(next(iter(feed.values())))
         if self._beside is not None and 0 < count <= self._few:
             return list(self._beside.run(wanted, feed))
         parts = []
         for start in range(0, max(count, 1), self._sizes[-1]):
-            part = {name: value[start:start + self._sizes[-1]] for name, value in feed.items()}
-            length = len(next(iter(part.values())))
+            length = min(count - start, self._sizes[-1])
             size = next(size for size in self._sizes if size >= length)
-            filled = {name: value if length == size else np.concatenate(
-                [value, np.zeros((size - length,) + value.shape[1:], value.dtype)]) for name, value in part.items()}
+            filled = {name: _filled_up(value[start:start + size], size) for name, value in room.items()}
             parts.append([value[:length] for value in self._batched[size].run(wanted, filled)])
         return parts[0] if len(parts) == 1 else [np.concatenate(values) for values in zip(*parts)]
 
@@ -531,6 +540,12 @@ def first_line(error: BaseException) -> str:
 
 _TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(double)": np.float64,
           "tensor(int64)": np.int64, "tensor(int32)": np.int32, "tensor(uint8)": np.uint8, "tensor(bool)": np.bool_}
+
+
+def _filled_up(values: np.ndarray, size: int) -> np.ndarray:
+    """Return (size, ...): the values, and zeros behind them."""
+    missing = size - len(values)
+    return np.concatenate([values, np.zeros((missing,) + values.shape[1:], values.dtype)]) if missing else values
 
 
 def _short_name(provider: str) -> str:

@@ -191,10 +191,11 @@ class BlazePose:
         threads."""
         if not windows:
             return []
-        if len(windows) > len(self._feed):
-            self._feed = np.empty((len(windows), INPUT_SIZE, INPUT_SIZE, 3), np.float32)
+        room = self._model.room(len(windows))
+        if room > len(self._feed):
+            self._feed = np.zeros((room, INPUT_SIZE, INPUT_SIZE, 3), np.float32)
         affines, output = self._model.run_items(windows, lambda one, place: _crop(image, one, place),
-                                                self._feed[:len(windows)])
+                                                self._feed[:room])
         scores = np.asarray(output[_SCORE_OUTPUT]).reshape(len(windows), -1)
         return [decode(landmarks, float(score[0]), world, affine, one.window.angle, one.mirrored)
                 for landmarks, score, world, affine, one in zip(

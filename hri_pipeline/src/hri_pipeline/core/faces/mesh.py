@@ -311,7 +311,8 @@ class FaceMesh:
         """
         if not rois:
             return []
-        batch = np.empty((len(rois), INPUT_SIZE, INPUT_SIZE, 3), np.float32)
+        batch = np.empty((self._model.room(len(rois)), INPUT_SIZE, INPUT_SIZE, 3), np.float32)
+        batch[len(rois):] = 0.0
         affines, found = self._model.run_items(rois, lambda roi, place: _crop(bgr, roi, place), batch)
         out = {name: values.reshape(len(rois), -1).astype(np.float64) for name, values in found.items()}
         results = []
