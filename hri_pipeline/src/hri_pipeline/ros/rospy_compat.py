@@ -336,8 +336,8 @@ def registered_together() -> Iterator[None]:
 
     rospy calls the master for each: an image with five new bodies, of ten topics each, waited for 50 calls.
     """
-    outer, opened = _opening.together, []
-    _opening.together = opened
+    opened: List[Tuple[RegManager, str, str]] = []
+    outer, _opening.together = _opening.together, opened
     try:
         yield
     finally:
