@@ -1,9 +1,15 @@
 """Publishers of ids, of which some cannot be opened; without a master."""
 
+import threading
+from types import SimpleNamespace
+from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
+
 import pytest
+from rospy.impl.registration import Registration
 from std_msgs.msg import String
 
 from hri_pipeline.ros import publishers as module
+from hri_pipeline.ros import rospy_compat
 from hri_pipeline.ros.publishers import IdPublishers, TopicSpec
 
 
@@ -44,3 +50,48 @@ def test_one_that_cannot_be_opened_costs_no_other(publishers):
     publishers.refused.clear()
     publishers.keep(["second", "third"])
     assert publishers.ids == ["third", "second"]
+
+
+class Requests(SimpleXMLRPCRequestHandler):
+    """Counts what it is asked."""
+
+    def do_POST(self):
+        self.server.requests += 1
+        super().do_POST()
+
+
+@pytest.fixture()
+def master():
+    """A master that keeps the topics which are registered, and counts requests."""
+    with SimpleXMLRPCServer(("127.0.0.1", 0), Requests, logRequests=False) as server:
+        server.requests, server.topics = 0, []
+        server.register_function(
+            lambda node, topic, kind, uri: server.topics.append(topic) or [1, "", []], "registerPublisher")
+        server.register_multicall_functions()
+        thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
+        thread.start()
+        yield server
+        server.shutdown()
+        thread.join()
+
+
+def test_all_topics_of_those_who_are_new_are_told_to_the_master_in_one_call(master, publishers, monkeypatch):
+    """Else an image with many new people waits for a call for each of their topics."""
+    manager = SimpleNamespace(master_uri="http://127.0.0.1:{}/".format(master.server_address[1]),
+                              uri="http://127.0.0.1:1/")
+
+    def advertise(identity, name, spec, listener):
+        if (identity, name) == ("second", "name"):
+            raise OSError("too few file descriptors")
+        rospy_compat._reg_added(manager, identity + "/" + name, "std_msgs/String", Registration.PUB)
+        return object()
+
+    publishers._topics["name"] = TopicSpec(String)
+    monkeypatch.setattr(publishers, "_advertise", advertise)
+    with pytest.raises(OSError, match="descriptors"):
+        publishers.keep(["first", "second", "third"])
+    assert master.topics == ["first/roi", "first/name", "third/roi", "third/name"] and master.requests == 1
+    publishers.close("first")
+    publishers.keep(["first", "third"])
+    assert master.topics[4:] == ["first/roi", "first/name"] and master.requests == 2
+    assert not rospy_compat.not_registered.is_set()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hri_pipeline.core.geometry import Pose, crop_rotated, iou_matrix
+from hri_pipeline.core.geometry import Pose, crop_rotated, iou_matrix, lowest_highest
 
 
 def random_pose(seed):
@@ -95,3 +95,12 @@ def test_crop_outside_repeats_the_border():
 def test_bad_crop(centre, size, angle, output):
     with pytest.raises(ValueError, match="cannot crop"):
         crop_rotated(np.zeros((5, 5, 3), np.uint8), centre, size, angle, output)
+
+
+def test_lowest_and_highest_of_each_axis():
+    points = np.array([[3.0, -1.0], [2.0, 5.0], [7.0, 0.0]])
+    np.testing.assert_array_equal(lowest_highest(points), [[2.0, -1.0], [7.0, 5.0]])
+    points[1, 0] = np.nan
+    low, high = lowest_highest(points)
+    assert np.isnan([low[0], high[0]]).all() and (low[1], high[1]) == (-1.0, 5.0)
+    np.testing.assert_array_equal(points[:, 1], [-1.0, 5.0, 0.0])

@@ -11,7 +11,7 @@ from typing import Optional, Sequence, Tuple
 import cv2
 import numpy as np
 
-from hri_pipeline.core.geometry import Numbers, square_affine, turn_ahead
+from hri_pipeline.core.geometry import Numbers, lowest_highest, square_affine, turn_ahead
 
 PLUMB_BOB = "plumb_bob"
 RATIONAL = "rational_polynomial"
@@ -299,7 +299,7 @@ class CameraModel:
         That of points in one place changes nothing.
         """
         pixels = np.asarray(pixels, dtype=np.float64)
-        low, high = pixels.min(axis=0), pixels.max(axis=0)
+        low, high = lowest_highest(pixels)
         places = low + _GRID * (high - low)
         if not np.isfinite(places).all() or (high - low).min() < 1.0:
             return np.eye(3)
@@ -312,7 +312,7 @@ class CameraModel:
         None where it is not known or makes no difference: of a camera that is not calibrated, of points that are not
         finite or in one place, near the edge of the model of the lens or a right angle, and near the optical axis.
         """
-        low, high = pixels.min(axis=0), pixels.max(axis=0)
+        low, high = lowest_highest(pixels)
         if not self.is_calibrated or not all(map(math.isfinite, (*low.tolist(), *high.tolist()))):
             return None
         box = low + _BOX * (high - low)
@@ -505,10 +505,13 @@ def _check_sensor(matrix: np.ndarray, width: int, height: int, roi: Tuple[int, i
 
 
 def _without_zeros(model: str, distortion: np.ndarray) -> np.ndarray:
-    """Return so many of the coefficients as the model may have, if those behind are zeros; else all of them."""
+    """Return so many of the coefficients as the model may have, if those behind are zeros; else all of them.
+
+    Five zeros, as simulators and drivers of rectified images tell, are no distortion: without it all takes less time.
+    """
     used = len(np.trim_zeros(distortion, "b"))
     legal = _COEFFICIENTS.get(model, ())
-    if distortion.size in legal:
+    if distortion.size in legal and (used or model == EQUIDISTANT):
         return distortion
     return distortion[:min((count for count in legal if used <= count <= distortion.size), default=distortion.size)]
 

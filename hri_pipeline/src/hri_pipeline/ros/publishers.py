@@ -16,6 +16,7 @@ from hri_pipeline.ros.rospy_compat import (
     NewSubscriberListener,
     Releaser,
     refuse_when_closed,
+    registered_together,
     release,
 )
 
@@ -86,9 +87,10 @@ class IdPublishers:
             publishers: Dict[str, rospy.Publisher] = {}
             listeners: Dict[str, Optional[NewSubscriberListener]] = {}
             try:
-                for name, spec in self._topics.items():
-                    listeners[name] = NewSubscriberListener() if spec.greet else None
-                    publishers[name] = self._advertise(identity, name, spec, listeners[name])
+                with registered_together():
+                    for name, spec in self._topics.items():
+                        listeners[name] = NewSubscriberListener() if spec.greet else None
+                        publishers[name] = self._advertise(identity, name, spec, listeners[name])
             except Exception:
                 self._releaser.put(publishers.values())
                 raise
@@ -116,11 +118,12 @@ class IdPublishers:
         for identity in set(self.ids) - set(wanted):
             self.close(identity)
         problem: Optional[Exception] = None
-        for identity in wanted:
-            try:
-                self.open(identity)
-            except Exception as error:
-                problem = error
+        with self._lock, registered_together():
+            for identity in wanted:
+                try:
+                    self.open(identity)
+                except Exception as error:
+                    problem = error
         if problem is not None:
             raise problem
 

@@ -35,7 +35,7 @@ import numpy as np
 
 from hri_pipeline.core.camera import CameraModel, FacingView
 from hri_pipeline.core.faces.detector import LEFT_EYE_KEYPOINT, RIGHT_EYE_KEYPOINT, FaceDetection
-from hri_pipeline.core.geometry import Pose, crop_rotated
+from hri_pipeline.core.geometry import Pose, crop_rotated, lowest_highest
 from hri_pipeline.core.onnx import FETCH_HINT, ModelError, OnnxModel
 from hri_pipeline.core.process import Threads
 
@@ -148,7 +148,7 @@ def landmarks_from_meshes(meshes: Sequence[np.ndarray], presences: Sequence[floa
 
 def bounding_box(points: np.ndarray) -> np.ndarray:
     """x0, y0, x1, y1 (4,) px of points (N, 2 or more)."""
-    return np.concatenate([points[:, :2].min(axis=0), points[:, :2].max(axis=0)])
+    return np.concatenate(lowest_highest(points[:, :2]))
 
 
 @dataclass(frozen=True)
