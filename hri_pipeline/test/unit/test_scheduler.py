@@ -423,10 +423,11 @@ def test_on_a_card_all_come_in_every_second_image():
     assert looks[-30:].count(10) == pytest.approx(15, abs=1), "as much as there is time for, but not in each image"
 
 
-def test_on_a_card_time_for_all_is_saved_up_and_nobody_is_left_out():
-    schedule = InferenceScheduler(10.0, 0.003, cost=0.0015)
-    looks = on_a_card(schedule, 10, 4.0)
-    assert set(looks) == {0, 10} and looks.count(10) == pytest.approx(4.0 * 30 * 3 / 15, abs=2), "15 ms of 3 an image"
+@pytest.mark.parametrize("budget", [3.0, 4.0])
+def test_on_a_card_time_for_all_is_saved_up_and_nobody_is_left_out(budget):
+    schedule = InferenceScheduler(10.0, 1e-3 * budget, cost=0.0015)
+    looks = on_a_card(schedule, 10, 8.0)
+    assert set(looks) == {0, 10} and looks.count(10) == pytest.approx(8.0 * 30 * budget / 15, abs=2), "all take 15 ms"
 
 
 def test_on_a_card_an_image_that_is_old_gets_none_unless_nobody_had_a_turn_for_long():
@@ -434,6 +435,42 @@ def test_on_a_card_an_image_that_is_old_gets_none_unless_nobody_had_a_turn_for_l
     on_a_card(schedule, 10, 2.0)
     looks = on_a_card(schedule, 10, 3.0, begin=2.0, age=0.2)
     assert looks.count(10) == pytest.approx(3.0 / 0.5, abs=1)
+
+
+@pytest.mark.parametrize("later", [True, False], ids=["card", "processor"])
+def test_on_a_card_nobody_pays_later_for_having_come_along_early(later):
+    """They had no look for 5 to 60 s once who came more often had left."""
+    machine = Machine(16)
+    schedule = faces_node(machine, 10)[0]
+    for step in range(900):
+        machine.now, machine.idle = step / 30.0, 4.2 * step / 30.0
+        schedule.share_among(ONE_THREAD, together=True)
+        chosen = schedule.choose([Request(name, 4.0 if name == "f0" else 1.0) for name in FACES], step / 30.0)
+        schedule.spent(0.015, len(chosen))
+        schedule.note_timing(0.005, 0.016)
+    schedule.share_among(ONE_THREAD, together=later)
+    looks = [len(choose(schedule, FACES[1:4], 30.0 + step / 30.0)) for step in range(30)]
+    assert any(looks[:4]) and sum(looks) >= 3 * 9
+
+
+def test_who_comes_anew_in_each_image_of_a_card_puts_nobody_off():
+    schedule = InferenceScheduler(10.0, 0.1, cost=0.0015, max_age=1.0)
+    schedule.share_among(ONE_THREAD, together=True)
+    for step in range(300):
+        choose(schedule, ["f0", "new%d" % step], step / 30.0)
+    assert [choose(schedule, ["f0"], 10.0 + step / 30.0) for step in range(4)].count(["f0"]) == 1
+
+
+def test_who_is_late_on_a_card_has_no_precedence_after_it():
+    """All come together there, as seldom as the time for all allows, who should come more often, too."""
+    schedule = InferenceScheduler(10.0, 0.003, cost=0.003, max_age=1.0, idle=Machine(16).share(0.75))
+    for step in range(900):
+        schedule.share_among(ONE_THREAD, together=True)
+        schedule.choose([Request(name, 4.0 if name == "f0" else 1.0) for name in FACES], step / 30.0)
+        schedule.note_timing(0.005, 0.016)
+    schedule.share_among(ONE_THREAD)
+    looks = Counter(name for step in range(120) for name in choose(schedule, FACES[:4], 30.0 + step / 30.0))
+    assert min(looks.values()) == pytest.approx(30, abs=4) and len(looks) == 4
 
 
 def test_the_cost_is_the_time_of_all_threads():

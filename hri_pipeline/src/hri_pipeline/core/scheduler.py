@@ -40,7 +40,7 @@ _SLOW_STEP = 0.2
 _LONGEST_WAIT = 0.5
 """Time (s) after which everybody gets an inference although the image is old: who is not seen for longer is lost."""
 _TOGETHER = 0.5
-"""Part of the images in which a graphics card, on which all come together, gets work."""
+"""Part of the images in which a graphics card, on which all come together, gets work beyond the least rate."""
 _LONGEST_STEP = 1.0
 """Time between two images (s) above which no more is earned."""
 _FIRST_STEP = 1.0 / 30.0
@@ -172,7 +172,7 @@ class InferenceScheduler:
             Inferences per image, 0 for no limit.
         max_age
             Age (s) of an image that the work on it may not exceed; one inference, and two a second for each, are
-            made all the same.
+            made all the same (two a second where all come together).
         max_rate
             Rate (Hz) at which images are taken at most, 0 for all: two that follow each other sooner by chance do not
             mean that there is less time for each.
@@ -219,7 +219,8 @@ class InferenceScheduler:
         """Let other threads share the inferences of an image from now on, as where a graphics card has failed.
 
         together: an inference of all takes hardly longer than one of a few, as on a card. All get theirs in the same
-        image then, the next one goes without, and is published the sooner.
+        image then, and beyond the least rate in every second one at most: the next goes without, and is published the
+        sooner.
         """
         self._threads, self._together = threads, together
 
@@ -259,10 +260,13 @@ class InferenceScheduler:
         self._admit(requests, stamp, periods)
         due = self._due(requests, stamp, periods)
         least = int(math.ceil(len(requests) * step / _LONGEST_WAIT - 1e-6))
-        chosen = due[:self._all_or_none(len(due), step, extra) if self._together else
+        chosen = due[:self._all_or_none(len(due), stamp, step, extra) if self._together else
                      self._affordable(len(due), step, extra, reserved, least)]
         for name in chosen:
-            self._deadlines[name] += periods[name]
+            begin = self._deadlines[name]
+            if self._together:      # who came early with the others, or late, neither pays for it later nor gains
+                begin = min(max(begin, stamp - periods[name]), stamp)
+            self._deadlines[name] = begin + periods[name]
             self._waits.append(stamp - max(self._served[name], self._resumed))
             self._served[name] = stamp
         return chosen
@@ -350,19 +354,19 @@ class InferenceScheduler:
         earned = sum(1.0 - early[request.id] / periods[request.id] for request in requests)
         return [request.id for request in order][:max(0, int(earned + 1e-6))]
 
-    def _all_or_none(self, due: int, step: float, extra: float) -> int:
+    def _all_or_none(self, due: int, stamp: float, step: float, extra: float) -> int:
         """All that are due, or 0 while there is not the time for them; it is saved up.
 
-        Nor while the image is too old, unless nobody has had a turn for long.
+        Nor while the image is too old, unless somebody has waited for long.
         """
-        spendable = self._budget * max(1.0, step / _SLOW_STEP) + extra + self._left
-        needed = due * self._cost
-        self._left = min(spendable, needed)
-        waited = self._stamp - min(self._served.values(), default=self._stamp)
+        earned = self._budget * max(1.0, step / _SLOW_STEP) + extra
+        spendable, needed = earned + self._left, due * self._cost
+        waited = stamp - min(self._served.values(), default=stamp)
         is_late = self._age is not None and self._max_age - self._age - self._rest < needed * self._stretch
         if spendable < needed or is_late and waited < _LONGEST_WAIT:
+            self._left = min(spendable, needed)
             return 0
-        self._left = 0.0
+        self._left = min(spendable - needed, earned) if self._left else 0.0
         return due
 
     def _affordable(self, due: int, step: float, extra: float, reserved: int, least: int) -> int:
