@@ -315,7 +315,8 @@ class FaceMesh:
         """
         if not rois:
             return []
-        affines, found = self._model.run_items(rois, lambda roi, place: _crop(bgr, roi, place))
+        affines, found = self._model.run_items(rois, lambda roi, place: _crop(bgr, roi, place),
+                                              (INPUT_SIZE, INPUT_SIZE, 3))
         out = {name: values.reshape(len(rois), -1).astype(np.float64) for name, values in found.items()}
         results = []
         for i, (roi, affine) in enumerate(zip(rois, affines)):
