@@ -172,7 +172,7 @@ class InferenceScheduler:
             Inferences per image, 0 for no limit.
         max_age
             Age (s) of an image that the work on it may not exceed; one inference, and two a second for each, are
-            made all the same (two a second where all come together).
+            made all the same (on average, where all come together).
         max_rate
             Rate (Hz) at which images are taken at most, 0 for all: two that follow each other sooner by chance do not
             mean that there is less time for each.
@@ -357,13 +357,13 @@ class InferenceScheduler:
     def _all_or_none(self, due: int, stamp: float, step: float, extra: float) -> int:
         """All that are due, or 0 while there is not the time for them; it is saved up.
 
-        Nor while the image is too old, unless somebody has waited for long.
+        Nor while images are too old, but one for each of those on average: all, after as many images as they are.
         """
         earned = self._budget * max(1.0, step / _SLOW_STEP) + extra
         spendable, needed = earned + self._left, due * self._cost
         waited = stamp - min(self._served.values(), default=stamp)
         is_late = self._age is not None and self._max_age - self._age - self._rest < needed * self._stretch
-        if spendable < needed or is_late and waited < _LONGEST_WAIT:
+        if spendable < needed or is_late and waited < min(_LONGEST_WAIT, (due - 0.5) * step):
             self._left = min(spendable, needed)
             return 0
         self._left = min(spendable - needed, earned) if self._left else 0.0
