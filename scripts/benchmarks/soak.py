@@ -75,9 +75,10 @@ class LeastMemory:
 def slope(times: Sequence[float], values: Sequence[float]) -> Tuple[float, float]:
     """Return the Theil-Sen slope, the median of the slopes of all pairs, and the lower end of its 95 % interval.
 
-    That end holds for samples that wander independently of each other: of such as stay where they were for some ten
-    samples it is above 0 in a quarter of the times, not in 2.5 %, although nothing grows. Up to 29 % of outliers do not move it far. P. K. Sen, "Estimates of the regression coefficient based on Kendall's
-    tau", J. Am. Stat. Assoc. 63, 1968. ValueError when there are fewer than two different times.
+    Up to 29 % of outliers do not move it far. P. K. Sen, "Estimates of the regression coefficient based on Kendall's
+    tau", J. Am. Stat. Assoc. 63, 1968. The interval is that of samples which do not depend on each other: of such as
+    wander, with a correlation of .9, its end is above 0 in a quarter of the times although nothing grows, not in
+    2.5 %. ValueError when there are fewer than two different times.
     """
     from scipy.stats import theilslopes
     if len(set(times)) < 2:
