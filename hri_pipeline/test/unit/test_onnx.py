@@ -213,9 +213,9 @@ def test_a_few_items_run_on_the_cpu_beside_a_gpu_while_that_is_as_fast(doubler, 
         np.testing.assert_array_equal(model.run({"x": x})["y"], 2 * x)
         expected = [count] if count <= few else [3] if count <= 3 else [6] if count <= 6 else [6, 3]
         assert sessions.batches == expected
-        assert model.runs_on_card(count) == (count > few)
+        assert model.together_on_card(count) == (min(count, 6) if count > few else 0)
     plain = machine("CPUExecutionProvider")
-    assert not OnnxModel(doubler, ["cpu"], few_on_cpu=True).runs_on_card(9)
+    assert not OnnxModel(doubler, ["cpu"], few_on_cpu=True).together_on_card(9)
     assert len(plain.asked) == 1
 
 

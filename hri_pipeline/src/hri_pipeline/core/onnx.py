@@ -226,9 +226,9 @@ class OnnxModel:
         """Whether it runs on a GPU."""
         return self.provider in ("cuda", "tensorrt")
 
-    def runs_on_card(self, count: int) -> bool:
-        """Whether so many items run on a GPU: a few may be faster on the CPU."""
-        return self.on_card and count > self._few
+    def together_on_card(self, count: int) -> int:
+        """How many of so many items a GPU takes in one batch; 0: they run on the CPU, as a few may be faster there."""
+        return min(count, self._sizes[-1]) if self.on_card and count > self._few else 0
 
     def run_items(self, items: Sequence[Item], prepare: Callable[[Item, np.ndarray], Result],
                   shape: Sequence[int]) -> Tuple[List[Result], Dict[str, np.ndarray]]:

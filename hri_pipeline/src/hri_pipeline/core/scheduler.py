@@ -151,7 +151,7 @@ class InferenceScheduler:
         processor time, s; by default that of these threads.
         """
         self._cost, self._batches, self._idle, self._threads = cost, batches, idle, threads
-        self._together = False
+        self._together = 0
         self._clock = clock or threads.time
         self.limit(rate, budget, most, max_age)
         self.reset()
@@ -200,7 +200,7 @@ class InferenceScheduler:
         self._served: Dict[str, float] = {}
         self._waits: Deque[float] = deque(maxlen=_LONGEST_ROUND)
         self._stamp: Optional[float] = None
-        self._resumed = -math.inf
+        self._resumed = self._worked = -math.inf
         self._left = 0.0
         self._age: Optional[float] = None
         self._interval = math.inf
@@ -215,12 +215,12 @@ class InferenceScheduler:
         """How many threads share the inferences of an image."""
         return self._threads.count
 
-    def share_among(self, threads: Threads, together: bool = False) -> None:
+    def share_among(self, threads: Threads, together: int = 0) -> None:
         """Let other threads share the inferences of an image from now on, as where a graphics card has failed.
 
-        together: an inference of all takes hardly longer than one of a few, as on a card. All get theirs in the same
-        image then, and beyond the least rate in every second one at most: the next goes without, and is published the
-        sooner.
+        together: so many take hardly longer than a few, as on a card; 0: each takes as long. As many as these get
+        theirs in the same image then, the others in the next one, and beyond the least rate each in every second one
+        at most: where all come together the next goes without, and is published the sooner.
         """
         self._threads, self._together = threads, together
 
@@ -260,7 +260,7 @@ class InferenceScheduler:
         self._admit(requests, stamp, periods)
         due = self._due(requests, stamp, periods)
         least = int(math.ceil(len(requests) * step / _LONGEST_WAIT - 1e-6))
-        chosen = due[:self._all_or_none(len(due), stamp, step, extra) if self._together else
+        chosen = due[:self._all_or_none(min(len(due), self._together), stamp, step, extra) if self._together else
                      self._affordable(len(due), step, extra, reserved, least)]
         for name in chosen:
             begin = self._deadlines[name]
@@ -268,7 +268,7 @@ class InferenceScheduler:
                 begin = min(max(begin, stamp - periods[name]), stamp)
             self._deadlines[name] = begin + periods[name]
             self._waits.append(stamp - max(self._served[name], self._resumed))
-            self._served[name] = stamp
+            self._served[name] = self._worked = stamp
         return chosen
 
     def renew(self, name: str) -> None:
@@ -347,7 +347,7 @@ class InferenceScheduler:
         early = {request.id: self._deadlines[request.id] - stamp - 1e-3 * periods[request.id] for request in requests}
         if self._batches:
             if any(value <= 0.0 for value in early.values()):
-                if self._together:
+                if len(requests) <= self._together:
                     return [request.id for request in order]
                 return [request.id for request in order if early[request.id] <= _NEARLY_DUE * periods[request.id]]
             return []
@@ -355,15 +355,16 @@ class InferenceScheduler:
         return [request.id for request in order][:max(0, int(earned + 1e-6))]
 
     def _all_or_none(self, due: int, stamp: float, step: float, extra: float) -> int:
-        """All that are due, or 0 while there is not the time for them; it is saved up.
+        """All that are due and come together, or 0 while there is not the time for them; it is saved up.
 
-        Nor while images are too old, but one for each of those on average: all, after as many images as they are.
+        Nor while images are too old, but one for each of those on average, and two a second for each: all, after as
+        many images as they are.
         """
         earned = self._budget * max(1.0, step / _SLOW_STEP) + extra
         spendable, needed = earned + self._left, due * self._cost
-        waited = stamp - min(self._served.values(), default=stamp)
+        wait = due * min(step, _LONGEST_WAIT / max(1, len(self._served))) - 0.5 * step
         is_late = self._age is not None and self._max_age - self._age - self._rest < needed * self._stretch
-        if spendable < needed or is_late and waited < min(_LONGEST_WAIT, (due - 0.5) * step):
+        if spendable < needed or is_late and stamp - self._worked < wait:
             self._left = min(spendable, needed)
             return 0
         self._left = min(spendable - needed, earned) if self._left else 0.0
