@@ -93,8 +93,8 @@ class _Watched:
     def __init__(self, *_, **__):
         self.input_shapes, self.threads, self.on_card = {"input_1": [1, 256, 256, 3]}, ONE_THREAD, False
 
-    def run_items(self, items, prepare):
-        self.shown = np.empty((len(items), 256, 256, 3), np.float32)
+    def run_items(self, items, prepare, shape):
+        self.shown = np.empty((len(items), *shape), np.float32)
         affines = [prepare(one, place) for one, place in zip(items, self.shown)]
         return affines, {name: np.ones((1, size)) for name, size in (
             ("Identity", 195), ("Identity_1", 1), ("Identity_4", 117))}

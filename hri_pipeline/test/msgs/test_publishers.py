@@ -1,5 +1,6 @@
 """Publishers of ids, of which some cannot be opened; without a master."""
 
+import logging
 import threading
 from types import SimpleNamespace
 from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
@@ -77,21 +78,65 @@ def master():
 
 def test_all_topics_of_those_who_are_new_are_told_to_the_master_in_one_call(master, publishers, monkeypatch):
     """Else an image with many new people waits for a call for each of their topics."""
-    manager = SimpleNamespace(master_uri="http://127.0.0.1:{}/".format(master.server_address[1]),
-                              uri="http://127.0.0.1:1/")
+    register = registering(master)
 
     def advertise(identity, name, spec, listener):
         if (identity, name) == ("second", "name"):
             raise OSError("too few file descriptors")
-        rospy_compat._reg_added(manager, identity + "/" + name, "std_msgs/String", Registration.PUB)
-        return object()
+        return register(identity, name, spec, listener)
 
     publishers._topics["name"] = TopicSpec(String)
     monkeypatch.setattr(publishers, "_advertise", advertise)
     with pytest.raises(OSError, match="descriptors"):
         publishers.keep(["first", "second", "third"])
-    assert master.topics == ["first/roi", "first/name", "third/roi", "third/name"] and master.requests == 1
+    # What could not be opened may be opened again before it is released, and rospy then tells the master nothing.
+    assert master.topics == ["second/roi", "first/roi", "first/name", "third/roi", "third/name"]
+    assert master.requests == 2
     publishers.close("first")
     publishers.keep(["first", "third"])
-    assert master.topics[4:] == ["first/roi", "first/name"] and master.requests == 2
+    assert master.topics[5:] == ["first/roi", "first/name"] and master.requests == 3
     assert not rospy_compat.not_registered.is_set()
+
+
+def test_a_node_that_ends_while_topics_open_registers_none(master, publishers, monkeypatch):
+    """A new node of its name would be ended by the master, or the topics would stay there for ever."""
+    monkeypatch.setattr(publishers, "_advertise", registering(master))
+    with rospy_compat.registered_together():
+        publishers.open("first")
+        monkeypatch.setattr(rospy_compat.rospy, "is_shutdown", lambda: True)
+    assert master.requests == 0
+
+
+def test_a_master_that_has_gone_while_topics_open_is_not_waited_for(master, publishers, monkeypatch):
+    monkeypatch.setattr(rospy_compat, "not_registered", threading.Event())
+    monkeypatch.setattr(publishers, "_advertise", registering(master))
+    with rospy_compat.registered_together():
+        publishers.open("first")
+        rospy_compat.not_registered.set()
+    assert master.requests == 0, "MasterWatch registers all that is open once it is back"
+
+
+@pytest.mark.parametrize("answer", [[1, "no list"], "nothing", ValueError("the master has a bug")])
+def test_answers_that_are_none_open_topics_all_the_same(master, publishers, monkeypatch, answer):
+    def answered(node, topic, kind, uri):
+        if topic.startswith("second") and isinstance(answer, Exception):
+            raise answer
+        return answer if topic.startswith("second") else [1, "", []]
+
+    master.register_function(answered, "registerPublisher")
+    monkeypatch.setattr(rospy_compat, "not_registered", threading.Event())
+    monkeypatch.setattr(publishers, "_advertise", registering(master))
+    publishers.keep(["first", "second", "third"])
+    assert publishers.ids == ["first", "second", "third"] and rospy_compat.not_registered.is_set()
+
+
+def registering(master):
+    """What opens a topic that is registered with this master."""
+    manager = SimpleNamespace(master_uri="http://127.0.0.1:{}/".format(master.server_address[1]),
+                              uri="http://127.0.0.1:1/", logger=logging.getLogger("registration"))
+
+    def advertise(identity, name, spec, listener):
+        rospy_compat._reg_added(manager, identity + "/" + name, "std_msgs/String", Registration.PUB)
+        return object()
+
+    return advertise

@@ -25,8 +25,8 @@ class OneFace:
 
     threads = ONE_THREAD
 
-    def run_items(self, items, prepare):
-        batch = np.empty((len(items), INPUT_SIZE, INPUT_SIZE, 3), np.float32)
+    def run_items(self, items, prepare, shape):
+        batch = np.empty((len(items), *shape), np.float32)
         return [prepare(item, place) for item, place in zip(items, batch)], self.run(batch)
 
     def run(self, batch):

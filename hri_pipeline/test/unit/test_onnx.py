@@ -38,6 +38,17 @@ def doubler(tmp_path):
     return path
 
 
+def save_adder(path, shape):
+    """Save a model with y = x + x; shape: of both."""
+    tensor = onnx.helper.make_tensor_value_info
+    graph = onnx.helper.make_graph([onnx.helper.make_node("Add", ["x", "x"], ["y"])], "adder", *(
+        [tensor(name, onnx.TensorProto.FLOAT, shape)] for name in "xy"))
+    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 13)])
+    model.ir_version = 8
+    onnx.save(model, str(path))
+    return path
+
+
 def test_run(doubler):
     model = OnnxModel(doubler, inputs=["x"], outputs=["z"])
     feed = {"x": np.array([[3.0, 4.0]], np.float32)}
@@ -202,9 +213,9 @@ def test_a_few_items_run_on_the_cpu_beside_a_gpu_while_that_is_as_fast(doubler, 
         np.testing.assert_array_equal(model.run({"x": x})["y"], 2 * x)
         expected = [count] if count <= few else [3] if count <= 3 else [6] if count <= 6 else [6, 3]
         assert sessions.batches == expected
-        assert model.runs_on_card(count) == (count > few)
+        assert model.together_on_card(count) == (min(count, 6) if count > few else 0)
     plain = machine("CPUExecutionProvider")
-    assert not OnnxModel(doubler, ["cpu"], few_on_cpu=True).runs_on_card(9)
+    assert not OnnxModel(doubler, ["cpu"], few_on_cpu=True).together_on_card(9)
     assert len(plain.asked) == 1
 
 
@@ -270,7 +281,7 @@ def test_a_gpu_that_fails_while_it_runs_is_given_up_for_the_cpu_without_losing_a
     assert (model.provider, model.on_card, model.threads) == ("cpu", False, threads)
     assert log.summary == "cpu: doubler" and log.inferences == {"doubler": 39}
     del sessions.batches[:], told[:]
-    prepared, found = model.run_items(list(x), lambda item, place: np.copyto(place, item))
+    prepared, found = model.run_items(list(x), lambda item, place: np.copyto(place, item), (2,))
     np.testing.assert_array_equal(found["y"], 2 * x)
     assert sessions.batches == [6, 6] and not told, "shared by the threads as on any CPU, and the card is left alone"
     threads.close()
@@ -329,7 +340,7 @@ def test_threads_prepare_items_and_divide_the_batch_on_a_cpu_only(doubler, machi
         place[:] = item
         return -item
 
-    prepared, found = model.run_items([3, 1, 4, 5], prepare)
+    prepared, found = model.run_items([3, 1, 4, 5], prepare, (2,))
     threads.close()
     assert prepared == [-3, -1, -4, -5] and sorted(sessions.batches) == sorted(batches)
     np.testing.assert_array_equal(found["y"], [[6, 6], [2, 2], [8, 8], [10, 10]])
@@ -344,11 +355,52 @@ def test_items_are_written_into_a_batch_that_is_filled_up_for_a_gpu_and_not_copi
     del sessions.batches[:]
     for last in (count, count - 1, count) if count > 2 else (count,):
         del sessions.batches[:]
-        prepared, found = model.run_items(range(last), lambda item, place: fed.append(place) or place.fill(item))
+        prepared, found = model.run_items(range(last), lambda item, place: fed.append(place) or place.fill(item), (2,))
         assert len(prepared) == len(found["y"]) == last and found["y"][:, 0].tolist() == [2.0 * i for i in range(last)]
     assert sessions.batches == batches
     assert len({place.base.ctypes.data for place in fed}) == 1, "the same memory each time"
     assert log.inferences == {"doubler": sum((count, count - 1, count) if count > 2 else (count,))}
+
+
+def test_items_of_a_model_with_free_lengths_have_the_shape_that_its_user_gives(tmp_path):
+    path = save_adder(tmp_path / "free.onnx", ["n", "length"])
+    model = OnnxModel(path)
+    for length in (2, 3):
+        found = model.run_items([1.0, 5.0], lambda item, place: place.fill(item), (length,))[1]
+        np.testing.assert_array_equal(found["y"], [[2.0] * length, [10.0] * length])
+    with pytest.raises(ModelError, match=r"refused input .*\(1, 3\)"):
+        OnnxModel(save_adder(tmp_path / "fixed.onnx", ["n", 2])).run_items([1.0], lambda item, place: None, (3,))
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_threads_that_run_items_of_one_model_at_once_have_memory_of_their_own(doubler, count):
+    threads, wrong = Threads(count), []
+    model = OnnxModel(doubler, threads=threads)
+
+    def work(base):
+        def prepare(item, place):
+            place[0] = item
+            if item % 50 == 49:
+                raise ValueError("no face there")
+            place[1] = item
+            return item
+
+        for begin in range(base, base + 300, 5):
+            items = list(range(begin, begin + 1 + begin % 7))
+            try:
+                prepared, found = model.run_items(items, prepare, (2,))
+            except ValueError:
+                continue
+            if prepared != items or found["y"].tolist() != [[2.0 * item] * 2 for item in items]:
+                wrong.append(items)
+
+    workers = [threading.Thread(target=work, args=(1000 * number,)) for number in range(4)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    threads.close()
+    assert not wrong
 
 
 @pytest.mark.parametrize(("provider", "batches"), [("CPUExecutionProvider", [2, 2, 1]),

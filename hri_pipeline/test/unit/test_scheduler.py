@@ -396,11 +396,12 @@ def test_threads_that_come_later_count_from_the_next_image_on():
 
 
 def on_a_card(schedule, count, seconds, rest=0.016, begin=0.0, age=0.005):
-    """Let a network run that takes 8 ms and .7 ms for each face; how many got it in each image of 30 a second."""
+    """Let a network run that takes 8 ms and .7 ms for each of 12 faces; how many got it in each image of 30 a
+    second."""
     looks = []
-    schedule.share_among(ONE_THREAD, together=True)
+    schedule.share_among(ONE_THREAD, together=min(count, 12))
     for step in range(int(seconds * 30)):
-        looks.append(len(choose(schedule, FACES[:count], begin + step / 30.0)))
+        looks.append(len(choose(schedule, map(str, range(count)), begin + step / 30.0)))
         took = 0.008 + 0.0007 * looks[-1] if looks[-1] else 0.0
         schedule.spent(took, looks[-1])
         schedule.note_timing(age, rest)
@@ -423,17 +424,66 @@ def test_on_a_card_all_come_in_every_second_image():
     assert looks[-30:].count(10) == pytest.approx(15, abs=1), "as much as there is time for, but not in each image"
 
 
-def test_on_a_card_time_for_all_is_saved_up_and_nobody_is_left_out():
-    schedule = InferenceScheduler(10.0, 0.003, cost=0.0015)
-    looks = on_a_card(schedule, 10, 4.0)
-    assert set(looks) == {0, 10} and looks.count(10) == pytest.approx(4.0 * 30 * 3 / 15, abs=2), "15 ms of 3 an image"
+@pytest.mark.parametrize("budget", [3.0, 4.0])
+def test_on_a_card_time_for_all_is_saved_up_and_nobody_is_left_out(budget):
+    schedule = InferenceScheduler(10.0, 1e-3 * budget, cost=0.0015)
+    looks = on_a_card(schedule, 10, 8.0)
+    assert set(looks) == {0, 10} and looks.count(10) == pytest.approx(8.0 * 30 * budget / 15, abs=2), "all take 15 ms"
 
 
-def test_on_a_card_an_image_that_is_old_gets_none_unless_nobody_had_a_turn_for_long():
+@pytest.mark.parametrize("count, wait", [(1, 0.1), (5, 5 / 30.0), (10, 10 / 30.0), (12, 12 / 30.0), (24, 0.25)])
+def test_on_a_card_old_images_get_one_look_each_on_average_or_two_a_second(count, wait):
+    """As without a card: of five in old images each had six looks a second there, and two on a card."""
     schedule = InferenceScheduler(10.0, 0.010, cost=0.0015, max_age=0.1)
-    on_a_card(schedule, 10, 2.0)
-    looks = on_a_card(schedule, 10, 3.0, begin=2.0, age=0.2)
-    assert looks.count(10) == pytest.approx(3.0 / 0.5, abs=1)
+    on_a_card(schedule, count, 2.0)
+    looks = on_a_card(schedule, count, 3.0, begin=2.0, age=0.2)
+    assert set(looks) == {0, min(count, 12)} and len(looks) - looks.count(0) == pytest.approx(3.0 / wait, abs=2)
+
+
+@pytest.mark.parametrize("count, rate", [(14, 10.0), (25, 30 * 10.0 / 16.4 * 12 / 25)])
+def test_on_a_card_more_than_come_together_take_turns(count, rate):
+    """All in one image would make each too old: they had two looks a second."""
+    schedule = InferenceScheduler(10.0, 0.010, cost=0.0015, max_age=0.1)
+    on_a_card(schedule, count, 2.0, rest=0.04, age=0.03)
+    looks = on_a_card(schedule, count, 4.0, begin=2.0, rest=0.04, age=0.03)
+    assert max(looks) == 12 and sum(looks) / count / 4.0 == pytest.approx(rate, rel=0.1)
+    assert schedule.wait(100) < 0.2, "nobody is left out"
+
+
+@pytest.mark.parametrize("later", [True, False], ids=["card", "processor"])
+def test_on_a_card_nobody_pays_later_for_having_come_along_early(later):
+    """They had no look for 5 to 60 s once who came more often had left."""
+    machine = Machine(16)
+    schedule = faces_node(machine, 10)[0]
+    for step in range(900):
+        machine.now, machine.idle = step / 30.0, 4.2 * step / 30.0
+        schedule.share_among(ONE_THREAD, together=10)
+        chosen = schedule.choose([Request(name, 4.0 if name == "f0" else 1.0) for name in FACES], step / 30.0)
+        schedule.spent(0.015, len(chosen))
+        schedule.note_timing(0.005, 0.016)
+    schedule.share_among(ONE_THREAD, together=3 if later else 0)
+    looks = [len(choose(schedule, FACES[1:4], 30.0 + step / 30.0)) for step in range(30)]
+    assert any(looks[:4]) and sum(looks) >= 3 * 9
+
+
+def test_who_comes_anew_in_each_image_of_a_card_puts_nobody_off():
+    schedule = InferenceScheduler(10.0, 0.1, cost=0.0015, max_age=1.0)
+    schedule.share_among(ONE_THREAD, together=2)
+    for step in range(300):
+        choose(schedule, ["f0", "new%d" % step], step / 30.0)
+    assert [choose(schedule, ["f0"], 10.0 + step / 30.0) for step in range(4)].count(["f0"]) == 1
+
+
+def test_who_is_late_on_a_card_has_no_precedence_after_it():
+    """All come together there, as seldom as the time for all allows, who should come more often, too."""
+    schedule = InferenceScheduler(10.0, 0.003, cost=0.003, max_age=1.0, idle=Machine(16).share(0.75))
+    for step in range(900):
+        schedule.share_among(ONE_THREAD, together=10)
+        schedule.choose([Request(name, 4.0 if name == "f0" else 1.0) for name in FACES], step / 30.0)
+        schedule.note_timing(0.005, 0.016)
+    schedule.share_among(ONE_THREAD)
+    looks = Counter(name for step in range(120) for name in choose(schedule, FACES[:4], 30.0 + step / 30.0))
+    assert min(looks.values()) == pytest.approx(30, abs=4) and len(looks) == 4
 
 
 def test_the_cost_is_the_time_of_all_threads():

@@ -21,7 +21,7 @@ EQUIDISTANT = "equidistant"
 # image_geometry gives to OpenCV as they are.
 _COEFFICIENTS = {PLUMB_BOB: (0, 4, 5, 8, 12, 14), RATIONAL: (0, 4, 5, 8, 12, 14), EQUIDISTANT: (0, 4)}
 _UNTILTED = 12      # of them at most, where the sensor is not tilted
-_MANY = 100         # points; with fewer OpenCV is as fast
+_MANY = 250         # points; with fewer OpenCV is as fast or faster
 # Limits of every real camera: focal length in image widths, aspect ratio of a pixel, distance of the optical axis from
 # the middle of the sensor in sensor sizes, distortion coefficients, and size of the sensor, px.
 _FOCAL_WIDTHS = (0.02, 500.0)
@@ -258,15 +258,18 @@ class CameraModel:
         """Return the pixels (N, 2) of rays x/z and y/z (N,) through a lens whose sensor is not tilted.
 
         The formula of OpenCV's calib3d. cv2.projectPoints derives each point by all parameters, too: of 478 points it
-        takes 2.5 times as long, of ten faces' 15 times.
+        takes 1.3 to 1.8 times as long, of ten faces' 3 to 6 times.
         """
-        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = np.pad(self.distortion, (0, _UNTILTED - self.distortion.size))
+        known = self.distortion.tolist()
+        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = known + [0.0] * (_UNTILTED - len(known))
         square, cross = x * x + y * y, 2.0 * x * y
         radial = 1.0 + square * (k1 + square * (k2 + square * k3))
         if k4 or k5 or k6:
             radial /= 1.0 + square * (k4 + square * (k5 + square * k6))
-        across = x * radial + p1 * cross + p2 * (square + 2.0 * x * x) + square * (s1 + square * s2)
-        down = y * radial + p2 * cross + p1 * (square + 2.0 * y * y) + square * (s3 + square * s4)
+        across = x * radial + p1 * cross + p2 * (square + 2.0 * x * x)
+        down = y * radial + p2 * cross + p1 * (square + 2.0 * y * y)
+        if s1 or s2 or s3 or s4:
+            across, down = across + square * (s1 + square * s2), down + square * (s3 + square * s4)
         return np.stack([across, down], axis=1) * self.matrix[[0, 1], [0, 1]] + self.matrix[:2, 2]
 
     def facing(self, pixels: np.ndarray) -> np.ndarray:

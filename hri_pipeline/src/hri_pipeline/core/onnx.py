@@ -226,12 +226,12 @@ class OnnxModel:
         """Whether it runs on a GPU."""
         return self.provider in ("cuda", "tensorrt")
 
-    def runs_on_card(self, count: int) -> bool:
-        """Whether so many items run on a GPU: a few may be faster on the CPU."""
-        return self.on_card and count > self._few
+    def together_on_card(self, count: int) -> int:
+        """How many of so many items a GPU takes in one batch; 0: they run on the CPU, as a few may be faster there."""
+        return min(count, self._sizes[-1]) if self.on_card and count > self._few else 0
 
-    def run_items(self, items: Sequence[Item], prepare: Callable[[Item, np.ndarray], Result]
-                  ) -> Tuple[List[Result], Dict[str, np.ndarray]]:
+    def run_items(self, items: Sequence[Item], prepare: Callable[[Item, np.ndarray], Result],
+                  shape: Sequence[int]) -> Tuple[List[Result], Dict[str, np.ndarray]]:
         """Prepare items and run the model on them, shared by its threads; on a GPU they only prepare.
 
         Parameters
@@ -240,6 +240,8 @@ class OnnxModel:
             At least one.
         prepare : callable
             Writes an item into its place of the batch, the only input; several threads call it.
+        shape : sequence of int
+            Of such a place.
 
         Returns
         -------
@@ -255,7 +257,7 @@ class OnnxModel:
         """
         name = self.input_names[0]
         numbers = range(len(items))
-        with self._places(self._filled_up(len(items))) as batch:
+        with self._places([self._filled_up(len(items)), *shape]) as batch:
             def fill(part: Sequence[int]) -> List[Result]:
                 return [prepare(items[index], batch[index]) for index in part]
 
@@ -269,18 +271,16 @@ class OnnxModel:
         return [one for one, _ in done], {key: np.concatenate([found[key] for _, found in done]) for key in done[0][1]}
 
     @contextmanager
-    def _places(self, count: int) -> Iterator[np.ndarray]:
-        """An array for so many items, which is kept for the next batch: to fill new memory takes longer than the
-        rest."""
+    def _places(self, shape: Sequence[int]) -> Iterator[np.ndarray]:
+        """An array of this shape, which is kept for the next batch: to fill new memory takes longer than the rest."""
         try:
             kept = self._kept.pop()
         except IndexError:      # the first one, or another thread has it
             kept = np.empty(0)
-        if len(kept) < count:
-            tensor = self._session.get_inputs()[0]
-            kept = np.zeros([count] + list(tensor.shape[1:]), _TYPES.get(tensor.type, np.float32))
+        if len(kept) < shape[0] or kept.shape[1:] != tuple(shape[1:]):
+            kept = np.zeros(shape, _TYPES.get(self._session.get_inputs()[0].type, np.float32))
         try:
-            yield kept[:count]
+            yield kept[:shape[0]]
         finally:
             self._kept.append(kept)
 

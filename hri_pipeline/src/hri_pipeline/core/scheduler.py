@@ -40,7 +40,7 @@ _SLOW_STEP = 0.2
 _LONGEST_WAIT = 0.5
 """Time (s) after which everybody gets an inference although the image is old: who is not seen for longer is lost."""
 _TOGETHER = 0.5
-"""Part of the images in which a graphics card, on which all come together, gets work."""
+"""Part of the images in which a graphics card, on which all come together, gets work beyond the least rate."""
 _LONGEST_STEP = 1.0
 """Time between two images (s) above which no more is earned."""
 _FIRST_STEP = 1.0 / 30.0
@@ -151,7 +151,7 @@ class InferenceScheduler:
         processor time, s; by default that of these threads.
         """
         self._cost, self._batches, self._idle, self._threads = cost, batches, idle, threads
-        self._together = False
+        self._together = 0
         self._clock = clock or threads.time
         self.limit(rate, budget, most, max_age)
         self.reset()
@@ -172,7 +172,7 @@ class InferenceScheduler:
             Inferences per image, 0 for no limit.
         max_age
             Age (s) of an image that the work on it may not exceed; one inference, and two a second for each, are
-            made all the same.
+            made all the same (on average, where all come together).
         max_rate
             Rate (Hz) at which images are taken at most, 0 for all: two that follow each other sooner by chance do not
             mean that there is less time for each.
@@ -200,7 +200,7 @@ class InferenceScheduler:
         self._served: Dict[str, float] = {}
         self._waits: Deque[float] = deque(maxlen=_LONGEST_ROUND)
         self._stamp: Optional[float] = None
-        self._resumed = -math.inf
+        self._resumed = self._worked = -math.inf
         self._left = 0.0
         self._age: Optional[float] = None
         self._interval = math.inf
@@ -215,11 +215,12 @@ class InferenceScheduler:
         """How many threads share the inferences of an image."""
         return self._threads.count
 
-    def share_among(self, threads: Threads, together: bool = False) -> None:
+    def share_among(self, threads: Threads, together: int = 0) -> None:
         """Let other threads share the inferences of an image from now on, as where a graphics card has failed.
 
-        together: an inference of all takes hardly longer than one of a few, as on a card. All get theirs in the same
-        image then, the next one goes without, and is published the sooner.
+        together: so many take hardly longer than a few, as on a card; 0: each takes as long. As many as these get
+        theirs in the same image then, the others in the next one, and beyond the least rate each in every second one
+        at most: where all come together the next goes without, and is published the sooner.
         """
         self._threads, self._together = threads, together
 
@@ -259,12 +260,15 @@ class InferenceScheduler:
         self._admit(requests, stamp, periods)
         due = self._due(requests, stamp, periods)
         least = int(math.ceil(len(requests) * step / _LONGEST_WAIT - 1e-6))
-        chosen = due[:self._all_or_none(len(due), step, extra) if self._together else
+        chosen = due[:self._all_or_none(min(len(due), self._together), stamp, step, extra) if self._together else
                      self._affordable(len(due), step, extra, reserved, least)]
         for name in chosen:
-            self._deadlines[name] += periods[name]
+            begin = self._deadlines[name]
+            if self._together:      # who came early with the others, or late, neither pays for it later nor gains
+                begin = min(max(begin, stamp - periods[name]), stamp)
+            self._deadlines[name] = begin + periods[name]
             self._waits.append(stamp - max(self._served[name], self._resumed))
-            self._served[name] = stamp
+            self._served[name] = self._worked = stamp
         return chosen
 
     def renew(self, name: str) -> None:
@@ -343,26 +347,27 @@ class InferenceScheduler:
         early = {request.id: self._deadlines[request.id] - stamp - 1e-3 * periods[request.id] for request in requests}
         if self._batches:
             if any(value <= 0.0 for value in early.values()):
-                if self._together:
+                if len(requests) <= self._together:
                     return [request.id for request in order]
                 return [request.id for request in order if early[request.id] <= _NEARLY_DUE * periods[request.id]]
             return []
         earned = sum(1.0 - early[request.id] / periods[request.id] for request in requests)
         return [request.id for request in order][:max(0, int(earned + 1e-6))]
 
-    def _all_or_none(self, due: int, step: float, extra: float) -> int:
-        """All that are due, or 0 while there is not the time for them; it is saved up.
+    def _all_or_none(self, due: int, stamp: float, step: float, extra: float) -> int:
+        """All that are due and come together, or 0 while there is not the time for them; it is saved up.
 
-        Nor while the image is too old, unless nobody has had a turn for long.
+        Nor while images are too old, but one for each of those on average, and two a second for each: all, after as
+        many images as they are.
         """
-        spendable = self._budget * max(1.0, step / _SLOW_STEP) + extra + self._left
-        needed = due * self._cost
-        self._left = min(spendable, needed)
-        waited = self._stamp - min(self._served.values(), default=self._stamp)
+        earned = self._budget * max(1.0, step / _SLOW_STEP) + extra
+        spendable, needed = earned + self._left, due * self._cost
+        wait = due * min(step, _LONGEST_WAIT / max(1, len(self._served))) - 0.5 * step
         is_late = self._age is not None and self._max_age - self._age - self._rest < needed * self._stretch
-        if spendable < needed or is_late and waited < _LONGEST_WAIT:
+        if spendable < needed or is_late and stamp - self._worked < wait:
+            self._left = min(spendable, needed)
             return 0
-        self._left = 0.0
+        self._left = min(spendable - needed, earned) if self._left else 0.0
         return due
 
     def _affordable(self, due: int, step: float, extra: float, reserved: int, least: int) -> int:

@@ -287,10 +287,6 @@ def register_without_waiting() -> None:
 
 def _reg_added(manager: RegManager, name: str, kind: str, of: str) -> None:
     """Register a topic or service with the master; kind: type, or address of a service."""
-    # A node that ends has perhaps been replaced by one of its name, which the master would end now. And a master that
-    # has not answered a moment ago is not waited for again.
-    if rospy.is_shutdown() or not_registered.is_set():
-        return
     if of == Registration.PUB and _opening.together is not None:
         _opening.together.append((manager, name, kind))
         return
@@ -304,15 +300,19 @@ def _reg_added(manager: RegManager, name: str, kind: str, of: str) -> None:
 def _tell_master(manager: RegManager, call: str, opened: Sequence[Tuple[str, str]]) -> List[Any]:
     """Register topics or services, (name, type or address) each, at once; return what the master answers to those that
     it takes."""
+    # A node that ends has perhaps been replaced by one of its name, which the master would end now. And a master that
+    # has not answered a moment ago is not waited for again.
+    if rospy.is_shutdown() or not_registered.is_set():
+        return []
     try:
         with ServerProxy(manager.master_uri, transport=TransportWithTimeout(_REGISTER_S)) as master:
             calls = MultiCall(master)
             for name, kind in opened:
                 getattr(calls, call)(rospy.get_name(), name, kind, manager.uri)
-            answers = list(calls())
+            answers = [(code, text, found) for code, text, found in calls()]
     except Exception as error:      # refused, timed out, half an answer
         not_registered.set()
-        manager.logger.error("%s: %s is told to the master later", ", ".join(name for name, _ in opened), error)
+        manager.logger.error("%s is told to the master later, with %d more: %s", opened[0][0], len(opened) - 1, error)
         return []
     for (name, _), (code, text, _) in zip(opened, answers):
         if code != 1:
@@ -332,20 +332,23 @@ _opening = _Opening()
 @contextmanager
 def registered_together() -> Iterator[None]:
     """Register the publishers that are opened in the body of a `with` statement by one call at its end, or that of the
-    outermost one; none of them where the body raises.
+    outermost one; where the body raises, at once: who opens one again before it is released must find it registered,
+    and the release has to come after that.
 
     rospy calls the master for each: an image with five new bodies, of ten topics each, waited for 50 calls.
     """
     opened: List[Tuple[RegManager, str, str]] = []
     outer, _opening.together = _opening.together, opened
+    has_ended = False
     try:
         yield
+        has_ended = True
     finally:
         _opening.together = outer
-    if outer is not None:
-        outer.extend(opened)
-    elif opened:
-        _tell_master(opened[0][0], "registerPublisher", [(name, kind) for _, name, kind in opened])
+        if has_ended and outer is not None:
+            outer.extend(opened)
+        elif opened:
+            _tell_master(opened[0][0], "registerPublisher", [(name, kind) for _, name, kind in opened])
 
 
 _robust_connect = tcpros_pubsub.robust_connect_subscriber

@@ -190,7 +190,8 @@ class BlazePose:
         threads."""
         if not windows:
             return []
-        affines, output = self._model.run_items(windows, lambda one, place: _crop(image, one, place))
+        affines, output = self._model.run_items(windows, lambda one, place: _crop(image, one, place),
+                                                (INPUT_SIZE, INPUT_SIZE, 3))
         scores = np.asarray(output[_SCORE_OUTPUT]).reshape(len(windows), -1)
         return [decode(landmarks, float(score[0]), world, affine, one.window.angle, one.mirrored)
                 for landmarks, score, world, affine, one in zip(

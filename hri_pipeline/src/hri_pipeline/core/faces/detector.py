@@ -200,7 +200,8 @@ class FaceDetector:
 
     def _search(self, bgr: np.ndarray, regions: Sequence[Region]) -> List[Found]:
         """What the network says of each region."""
-        places, out = self._model.run_items(regions, lambda region, crop: _letterbox(bgr, region, crop))
+        places, out = self._model.run_items(regions, lambda region, crop: _letterbox(bgr, region, crop),
+                                            (INPUT_SIZE, INPUT_SIZE, 3))
         return [self._decode(out["Identity"][i], out["Identity_1"][i, :, 0], scale, offset)
                 for i, (scale, offset) in enumerate(places)]
 

@@ -294,9 +294,9 @@ class FaceMesh:
         """Those that share the crops now: others once a graphics card has failed."""
         return self._model.threads
 
-    def takes_as_long_as_one(self, count: int) -> bool:
-        """Whether so many crops take hardly longer than one: on a graphics card."""
-        return self._model.runs_on_card(count)
+    def together_on_card(self, count: int) -> int:
+        """How many of so many crops take hardly longer than one, on a graphics card; 0: they run on the CPU."""
+        return self._model.together_on_card(count)
 
     def run(self, bgr: np.ndarray, rois: Sequence[FaceRoi]) -> List[FaceMeshResult]:
         """Run the network; one result per crop, in order. The model's threads share the crops.
@@ -315,7 +315,8 @@ class FaceMesh:
         """
         if not rois:
             return []
-        affines, found = self._model.run_items(rois, lambda roi, place: _crop(bgr, roi, place))
+        affines, found = self._model.run_items(rois, lambda roi, place: _crop(bgr, roi, place),
+                                              (INPUT_SIZE, INPUT_SIZE, 3))
         out = {name: values.reshape(len(rois), -1).astype(np.float64) for name, values in found.items()}
         results = []
         for i, (roi, affine) in enumerate(zip(rois, affines)):

@@ -194,7 +194,7 @@ class FaceTrackingPipeline:
                 self._search_anew(stamp)
             self._predict(bgr, stamp)
         expected = self._tracker.expected(stamp)
-        self._mesh_scheduler.share_among(self._mesh.threads, together=self._mesh.takes_as_long_as_one(len(expected)))
+        self._mesh_scheduler.share_among(self._mesh.threads, together=self._mesh.together_on_card(len(expected)))
         chosen = set(self._mesh_scheduler.choose(self._requests(expected, stamp), stamp))
         if cut:
             chosen = {track.id for track in expected}
