@@ -259,7 +259,7 @@ class InferenceScheduler:
         self._admit(requests, stamp, periods)
         due = self._due(requests, stamp, periods)
         least = int(math.ceil(len(requests) * step / _LONGEST_WAIT - 1e-6))
-        chosen = due[:self._all_or_none(len(due), step, extra) if self._together else
+        chosen = due[:self._all_or_none(len(due), stamp, step, extra) if self._together else
                      self._affordable(len(due), step, extra, reserved, least)]
         for name in chosen:
             self._deadlines[name] += periods[name]
@@ -350,7 +350,7 @@ class InferenceScheduler:
         earned = sum(1.0 - early[request.id] / periods[request.id] for request in requests)
         return [request.id for request in order][:max(0, int(earned + 1e-6))]
 
-    def _all_or_none(self, due: int, step: float, extra: float) -> int:
+    def _all_or_none(self, due: int, stamp: float, step: float, extra: float) -> int:
         """All that are due, or 0 while there is not the time for them; it is saved up.
 
         Nor while the image is too old, unless nobody has had a turn for long.
@@ -358,7 +358,7 @@ class InferenceScheduler:
         spendable = self._budget * max(1.0, step / _SLOW_STEP) + extra + self._left
         needed = due * self._cost
         self._left = min(spendable, needed)
-        waited = self._stamp - min(self._served.values(), default=self._stamp)
+        waited = stamp - min(self._served.values(), default=stamp)
         is_late = self._age is not None and self._max_age - self._age - self._rest < needed * self._stretch
         if spendable < needed or is_late and waited < _LONGEST_WAIT:
             return 0
