@@ -1,5 +1,8 @@
 """Where another speaker goes on: the frames, times and ids. The network is stood in for by the pitch of a tone."""
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 
@@ -58,9 +61,9 @@ def pause(seconds):
     return np.zeros(int(seconds * RATE), np.float32)
 
 
-def pipeline_of(**changes):
+def pipeline_of(speakers=None, **changes):
     settings = TABLE.resolve(dict({"hangover_time": 0.6, "speaking_hangover": 0.0}, **changes))
-    return VoicePipeline(settings, LoudIsSpeech(), ids=IdGenerator(seed=3), speakers=PitchIsSpeaker())
+    return VoicePipeline(settings, LoudIsSpeech(), ids=IdGenerator(seed=3), speakers=speakers or PitchIsSpeaker())
 
 
 def turns_of(*pieces, pipeline=None, **changes):
@@ -133,6 +136,64 @@ def test_a_turn_of_an_earlier_voice_has_all_its_sound_and_nothing_is_left_of_the
     assert again.stamp == pytest.approx(passed[0].stamp) == pytest.approx(passed[-1].stamp)
     assert again.stamp == pytest.approx(START + 4.0 - 0.2, abs=0.07)
     assert [len(seen.samples) for seen in passed[:1]] == [int(0.2 * RATE) + FRAME]
+
+
+@pytest.mark.parametrize("resume_time, silence, turns", [(2.0, 1.5, 2), (15.0, 13.0, 2), (15.0, 14.5, 1)])
+def test_who_is_compared_after_the_resume_time_has_one_voice_for_the_turn(resume_time, silence, turns):
+    """The turn begins within resume_time; 1.2 s of speech later it is over, or the earlier voice has ended, too."""
+    found = turns_of(tone(LOW, 2.5), pause(silence), tone(LOW, 2.5), resume_time=resume_time)
+    assert [sum(seen.onset for seen in seens) for seens in found.values()] == [turns, 1]
+
+
+class UnsureAtFirst(PitchIsSpeaker):
+    """Takes the looks 7 to 9, the first three in a second turn, for nobody's."""
+
+    def __init__(self):
+        self.looks = 0
+
+    def embed(self, sounds):
+        self.looks += 1
+        return np.array([[0.697, 0.717]]) if 6 < self.looks < 10 else super().embed(sounds)
+
+
+def test_a_turn_is_wholly_an_earlier_voices_after_the_last_look_too():
+    pipeline = pipeline_of(UnsureAtFirst(), resume_time=15.0)
+    found = turns_of(tone(LOW, 2.5), pause(1.0), tone(LOW, 3.5), pipeline=pipeline)
+    (same, turns), (_, passed) = found.items()
+    assert len(passed) > 60, "it was told in the fourth look"
+    assert [seen.stamp for seen in turns if seen.onset][1] == pytest.approx(passed[0].stamp)
+    assert pipeline.tracked == (same,)
+
+
+class Watched(PitchIsSpeaker):
+    """Knows which of its embeddings are kept by anybody."""
+
+    def __init__(self):
+        self.told = []
+
+    def embed(self, sounds):
+        found = super().embed(sounds)
+        self.told.append(weakref.ref(found))
+        return found
+
+    @property
+    def kept(self):
+        gc.collect()
+        return [told for told in self.told if told() is not None]
+
+
+@pytest.mark.parametrize("resume_time, after_turn", [(0.0, 0), (15.0, 5)])
+def test_no_embedding_outlives_its_voice(resume_time, after_turn):
+    watched = Watched()
+    pipeline = pipeline_of(watched, resume_time=resume_time)
+    samples = np.concatenate([pause(0.5), tone(LOW, 2.5), pause(1.0)])
+    for first in range(0, len(samples) - FRAME + 1, FRAME):
+        pipeline.update(SoundBlock(samples[first:first + FRAME, None], START + first / RATE))
+    assert len(watched.told) > 4 and len(watched.kept) >= after_turn
+    assert resume_time > 0.0 or not watched.kept
+    for second in range(20):        # silence that is heard
+        pipeline.update(SoundBlock(pause(1.0)[:, None], START + 4.0 + second))
+    assert pipeline.tracked == () and not watched.kept
 
 
 @pytest.mark.parametrize("second", [tone(LOW, 0.8), tone(HIGH, 0.8)], ids=["same", "other"])

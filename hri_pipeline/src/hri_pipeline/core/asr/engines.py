@@ -158,6 +158,7 @@ class PocketsphinxEngine:
         self._decoder.end_utt()
         self._open = False
         if not spoken:
+            self._heard = []
             return Recognised("", 0.0)      # all of it was said by somebody else
         self._decode_again(spoken)
         hypothesis = self._decoder.hyp()

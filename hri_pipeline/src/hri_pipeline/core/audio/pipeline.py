@@ -309,6 +309,8 @@ class VoicePipeline:
         if step.end and source.voice is not None:
             self._tracks.end(source.voice, step.short)
             source.voice = None
+            if source.speakers is not None:
+                source.speakers.end()
 
     def _silent_voices(self, source: VoiceSource, stamp: float) -> List[VoiceObservation]:
         """Return an observation of each tracked voice of this source that has no turn."""

@@ -141,6 +141,10 @@ class SpeakerChange:
 
     def __init__(self, embedder: SpeakerEmbedder) -> None:
         self._embedder = embedder
+        self.end()
+
+    def end(self) -> None:
+        """Forget sound and embeddings: the turn is over."""
         self.begin(deque(maxlen=KEPT_EMBEDDINGS))
 
     def begin(self, known: Deque[np.ndarray], earlier: Sequence[Sequence[np.ndarray]] = ()) -> None:
@@ -171,7 +175,8 @@ class SpeakerChange:
             return None
         self._spoken += 1
         self._kept += 1
-        while self._kept > _EARLIEST:
+        # All of a turn may be an earlier voice's.
+        while self._kept > _EARLIEST and not self._earlier:
             self._kept -= self._frames.popleft().is_speech
         if self._spoken < _COMPARED or (self._spoken - _COMPARED) % _EVERY:
             return None

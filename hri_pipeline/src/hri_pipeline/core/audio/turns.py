@@ -231,7 +231,7 @@ class VoiceTracks:
         """Return the voice of a turn, at `stamp` (s), whose speaker is not that of `before`, which has spoken until
         `since` (s): a tracked one that sounds like this embedding, or a new one."""
         before.last_word = min(before.last_word, since)
-        others = [voice for voice in self.earlier(key, stamp) if voice is not before]
+        others = [voice for voice in self.earlier(key, since) if voice is not before]
         like = most_alike(embedding, [voice.embeddings for voice in others])
         # Nothing is left of a voice whose whole turn was an earlier one's.
         self.end(before, short=like is not None and since <= before.first_word)
@@ -267,6 +267,7 @@ class VoiceTracks:
         for voice in self.silent:
             if stamp - voice.last_word > self._longest_pause(voice):
                 del self._voices[voice.id]
+                voice.embeddings.clear()        # a turn that may be this voice's holds them, too
 
     def clear(self) -> None:
         """Remove all voices."""

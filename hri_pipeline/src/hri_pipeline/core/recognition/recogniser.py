@@ -366,12 +366,20 @@ class Recogniser:
         before = face.person
         face.take(FaceTemplate(template, quality, stamp), self._log_odds(before, template) if before else None)
         if not face.person:
-            odds = {person: self._log_odds(person, template) for person in self._shown if person not in face.denied}
-            face.note_unlike({person: value for person, value in odds.items() if value is not None})
+            face.note_unlike(self._log_odds_of_shown(template, face.denied))
         if before and not face.person:
             # Who was beside a face with a wrong name may be that person.
             for other in self._faces.values():
                 other.apart = {person_id: beside for person_id, beside in other.apart.items() if beside != face_id}
+
+    def _log_odds_of_shown(self, template: np.ndarray, but: Set[str]) -> Dict[str, float]:
+        """Return by who was named in the last minute, `but` for these, what _log_odds tells of a template (D,)."""
+        near = {person: self.gallery.nearest(person, template) for person in self._shown.keys() - but}
+        known = {person: distance for person, distance in near.items() if distance is not None}
+        if not known:
+            return {}
+        odds = self.gallery.calibration.log_odds(np.array(list(known.values())), len(self.gallery))
+        return dict(zip(known, odds.tolist()))
 
     def _log_odds(self, person_id: str, template: np.ndarray) -> Optional[float]:
         """Return the logarithm of the odds that one template (D,) is of a person, None for somebody unknown."""
