@@ -306,10 +306,9 @@ def _tell_master(manager: RegManager, call: str, opened: Sequence[Tuple[str, str
         return []
     try:
         with ServerProxy(manager.master_uri, transport=TransportWithTimeout(_REGISTER_S)) as master:
-            calls = MultiCall(master)
-            for name, kind in opened:
-                getattr(calls, call)(rospy.get_name(), name, kind, manager.uri)
-            answers = [(code, text, found) for code, text, found in calls()]
+            calls = MultiCall(master) if len(opened) > 1 else master       # a single one every master takes
+            told = [getattr(calls, call)(rospy.get_name(), name, kind, manager.uri) for name, kind in opened]
+            answers = [(code, text, found) for code, text, found in (calls() if len(opened) > 1 else told)]
     except Exception as error:      # refused, timed out, half an answer
         not_registered.set()
         manager.logger.error("%s is told to the master later, with %d more: %s", opened[0][0], len(opened) - 1, error)
