@@ -52,8 +52,9 @@ TURN = 0.15
 """Change of the asymmetry by which a head has turned: its small picture then tells nothing."""
 VIEW_PERIOD, VIEWS = 0.5, 6
 """Time (s) between two views that are kept of a face, and how many."""
-CHECK_PERIOD = 2.0
-"""Time (s) after which a face is checked although nothing seems to have changed."""
+CHECK_PERIOD = 3.0
+"""Time (s) after which a face is checked although nothing seems to have changed; longer than recognition leaves one
+without a template, which serves as the check (CALM_INTERVAL), and the wait for a look and a turn."""
 FRESH = 0.5
 """Age (s) of the last look up to which a small change since then speaks for the same face in another pose."""
 _LARGEST_PART = 300 * 300

@@ -47,7 +47,7 @@ FIRST_INTERVAL, NAMED_INTERVAL, LONGEST_INTERVAL = 0.25, 1.0, 5.0
 that is wrong must be noticed soon."""
 CALM_RATE, CALM_INTERVAL = 5.0, 1.8
 """Most templates a second of all faces together whose name is sure, and the longest time (s) between two of one of
-them: soon enough that the tracker, which checks each face once in 2 s, needs none of its own."""
+them: soon enough that the tracker, which checks each face once in 3 s, needs none of its own."""
 TURN_S = 0.5
 """Time (s) added to the intervals where faces wait for their turn, so that who is new comes some three times as often
 as who is known."""
