@@ -68,12 +68,15 @@ def test_nobody_parts_before_a_second_is_over_whatever_else_is_told():
     assert world.run(0.3) == ("ann", "ann")
 
 
-def test_a_face_and_a_body_that_fit_no_longer_so_well_are_not_told_to_be_two():
+@pytest.mark.parametrize("first, for_s, then, within_s", [
+    pytest.param(0.8, 0.5, 0.2, 3.0, id="who fit no longer so well are not told to be two"),
+    pytest.param(0.0, 2.0, 0.8, 0.2, id="a match that counts again joins them again")])
+def test_a_face_and_a_body_are_one_again_or_still(first, for_s, then, within_s):
     world = union()
-    world.say(FACE, BODY, 0.8)
-    world.run(0.5)
-    world.say(FACE, BODY, 0.2)
-    assert world.run(3.0) == ("ann", "ann")
+    world.say(FACE, BODY, first)
+    world.run(for_s)
+    world.say(FACE, BODY, then)
+    assert world.run(within_s) == ("ann", "ann")
 
 
 def test_what_is_told_of_a_body_that_is_not_there_yet_does_not_part_it_later():
@@ -94,14 +97,6 @@ def test_the_weaker_link_ends():
     world.say(FACE, BODY, 0.0)
     face, body = world.run(2.0)
     assert body == "ann" and face.startswith("anonymous_person_")
-
-
-def test_a_match_that_counts_again_joins_them_again():
-    world = union()
-    world.say(FACE, BODY, 0.0)
-    world.run(2.0)
-    world.say(FACE, BODY, 0.8)
-    assert world.run(0.2) == ("ann", "ann")
 
 
 def test_a_withdrawal_just_before_the_face_leaves_parts_nobody():

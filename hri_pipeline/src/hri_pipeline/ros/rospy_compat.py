@@ -306,9 +306,8 @@ def _tell_master(manager: RegManager, call: str, opened: Sequence[Tuple[str, str
         return []
     try:
         with ServerProxy(manager.master_uri, transport=TransportWithTimeout(_REGISTER_S)) as master:
-            calls = MultiCall(master) if len(opened) > 1 else master       # a single one every master takes
-            told = [getattr(calls, call)(rospy.get_name(), name, kind, manager.uri) for name, kind in opened]
-            answers = [(code, text, found) for code, text, found in (calls() if len(opened) > 1 else told)]
+            told = [(rospy.get_name(), name, kind, manager.uri) for name, kind in opened]
+            answers = [(code, text, found) for code, text, found in _answers(master, call, told)]
     except Exception as error:      # refused, timed out, half an answer
         not_registered.set()
         manager.logger.error("%s is told to the master later, with %d more: %s", opened[0][0], len(opened) - 1, error)
@@ -317,6 +316,16 @@ def _tell_master(manager: RegManager, call: str, opened: Sequence[Tuple[str, str
         if code != 1:
             rospy.logfatal("the master refuses to register %s: %s", name, text)
     return [found for code, _, found in answers if code == 1]
+
+
+def _answers(master: ServerProxy, call: str, told: Sequence[Tuple[str, ...]]) -> Iterable[Any]:
+    """Return the answers to calls of the master, made in one; a single one is made as any master knows it."""
+    if len(told) == 1:
+        return [getattr(master, call)(*told[0])]
+    calls = MultiCall(master)
+    for arguments in told:
+        getattr(calls, call)(*arguments)
+    return calls()
 
 
 class _Opening(threading.local):

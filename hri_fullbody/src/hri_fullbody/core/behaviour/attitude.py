@@ -42,7 +42,7 @@ class Rule:
     """When a latch closes and opens: scores 0 to 1, times in s.
 
     unknown_time: for how long a closed latch holds while the score is not known. looks: that many in turn, at least,
-    must have a (smoothed) score beyond `on` before it closes.
+    must have a score beyond `on` before it closes.
     """
 
     on: float
@@ -79,14 +79,15 @@ class Latch:
         self.active = False
         self._held = self._unknown = 0.0
         self._running = False
+        self._in_turn = 0       # looks with a score beyond `on`
 
-    def update(self, score: float, elapsed: float, seen: bool = True, may_close: bool = True) -> bool:
+    def update(self, score: float, elapsed: float, seen: bool = True) -> bool:
         """Take a score (0 to 1, NaN unknown) `elapsed` s after the one before; return whether the latch is closed.
 
         Time counts from the first score beyond the threshold, so that one score alone never turns the latch, at
         whatever frame rate. seen: False for one of remembered key points: it holds a latch, and closes none.
-        may_close: whether this look may close it.
         """
+        self._in_turn = self._in_turn + 1 if score >= self._rule.on else 0
         if math.isnan(score):
             self._unknown += elapsed
             if self._unknown > self._rule.unknown_time:
@@ -103,7 +104,7 @@ class Latch:
             self._held += elapsed if self._running else 0.0
             self._running = True
             long_enough = self._held >= (rule.off_time if self.active else rule.on_time) - _TIME_SLACK_S
-            if long_enough and (self.active or may_close):
+            if long_enough and (self.active or self._in_turn >= rule.looks):
                 self.active, self._running, self._held = not self.active, False, 0.0
         elif back:
             self._running, self._held = False, 0.0
@@ -117,20 +118,17 @@ class _Smoothed:
         self.latch = Latch(rule)
         self.score = _UNKNOWN
         self._unknown = 0.0
-        self._rule = rule
-        self._in_turn = 0
+        self._patience = rule.unknown_time
 
     def update(self, score: float, weight: float, elapsed: float, seen: bool = True) -> bool:
         if math.isnan(score):
-            self._in_turn = 0
             self._unknown += elapsed
-            if self._unknown > self._rule.unknown_time:
+            if self._unknown > self._patience:
                 self.score = _UNKNOWN
             return self.latch.update(_UNKNOWN, elapsed)
         self._unknown = 0.0
         self.score = score if math.isnan(self.score) else self.score + weight * (score - self.score)
-        self._in_turn = self._in_turn + 1 if self.score >= self._rule.on else 0
-        return self.latch.update(self.score, elapsed, seen, self._in_turn >= self._rule.looks)
+        return self.latch.update(self.score, elapsed, seen)
 
 
 class _WristSpeed:
