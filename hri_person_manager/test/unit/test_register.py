@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from contextlib import contextmanager
 from itertools import count
@@ -206,6 +207,24 @@ def test_demographics_are_fused_over_faces_each_counted_once():
     assert fused.estimate().gender == UNDEFINED
 
 
+@pytest.mark.parametrize("faces", [[(30.0, 0.55)], [(30.0, 0.9)], [(25.0, 0.9), (40.0, 0.6)], [(30.0, 0.9)] * 3])
+def test_the_deviation_of_an_age_says_what_its_confidence_says(faces):
+    """Of images with smoothed noise a confidence of .55 came with a deviation of 6.3 years, as .9 of good ones."""
+    fused = DemographicsFusion()
+    for number, (age, sure) in enumerate(faces):
+        fused.observe("f%d" % number, age, sure, FEMALE, 0.9, 1.0)
+    found = fused.estimate()
+    within = math.erf(10.0 / (found.age_deviation * math.sqrt(2.0)))
+    assert within == pytest.approx(found.age_confidence, abs=1e-6)
+
+
+@pytest.mark.parametrize("sure", [1e-20, 1.0])
+def test_ages_that_nobody_can_be_so_sure_of_have_a_deviation(sure):
+    fused = DemographicsFusion()
+    fused.observe("f1", 30.0, sure, FEMALE, 0.9, 1.0)
+    assert 1.0 < fused.estimate().age_deviation <= 100.0
+
+
 def test_of_many_faces_of_one_person_the_last_twenty_count():
     fused = DemographicsFusion()
     for number, age in [(number, 90.0) for number in range(30)] + [(number, 30.0) for number in range(30, 50)] + [
@@ -224,15 +243,15 @@ def test_faces_that_show_neither_age_nor_gender_take_no_place():
 
 
 @pytest.mark.parametrize("shown, age, gender", [
-    ((40.0, 0.8, MALE, 0.0), (40.0, 6.3, 0.8), (UNDEFINED, 0.0)),
-    ((40.0, 0.8, MALE, 0.59), (40.0, 6.3, 0.8), (UNDEFINED, 0.0)),
+    ((40.0, 0.8, MALE, 0.0), (40.0, 7.803, 0.8), (UNDEFINED, 0.0)),
+    ((40.0, 0.8, MALE, 0.59), (40.0, 7.803, 0.8), (UNDEFINED, 0.0)),
     ((40.0, 0.0, MALE, 0.9), (0.0, 0.0, 0.0), (MALE, 0.9))])
 def test_of_age_and_gender_one_may_be_known_alone(shown, age, gender):
     fused = DemographicsFusion()
     assert fused.observe("f2", 80.0, 0.0, UNDEFINED, 0.9, 2.0) and fused.estimate() is None, "it shows nothing"
     fused.observe("f1", *shown, 1.0)
     found = fused.estimate()
-    assert (found.age, found.age_deviation, found.age_confidence) == pytest.approx(age)
+    assert (found.age, found.age_deviation, found.age_confidence) == pytest.approx(age, abs=1e-3)
     assert (found.gender, found.gender_confidence) == gender and found.stamp == 1.0
 
 

@@ -240,6 +240,27 @@ def test_noise_that_makes_people_old_is_known(finder):
     assert np.median(older) > 8.0, "the network takes noise for wrinkles; else nobody needs this"
 
 
+def test_noise_that_was_smoothed_away_makes_ages_less_sure(finder):
+    """Faces of 90 px, clean and as of a camera that smooths the noise of a dim room."""
+    model = load_age_gender(models_directory() / "age_gender.onnx")
+    image, random = cv2.imread(str(models_directory() / "demo" / "sample6.jpg")), np.random.RandomState(1)
+    assert image is not None, "no demonstration pictures; get them with `rosrun hri_pipeline fetch_models`"
+    clean, smoothed = [], []
+    for _, mesh in finder(image):
+        scale = 90.0 / np.ptp(mesh[:, 0])
+        small, points = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), scale * mesh
+        noisy = cv2.GaussianBlur(small + random.normal(0.0, 25.0, small.shape), (0, 0), 1.0)
+        crops = [model.crop(picture, points) for picture in (small, np.clip(noisy, 0, 255).astype(np.uint8))]
+        assert relative_noise(crops[1]) < MOST_NOISE, "which the limit of noise does not see"
+        for told, crop in zip((clean, smoothed), crops):
+            fusion = AgeGenderFusion()
+            fusion.add(model.estimate([crop])[0], 1.0, 0.0)
+            told.append(fusion.estimate())
+    assert np.median([look.age for look in smoothed]) > np.median([look.age for look in clean]) + 3.0
+    sure, doubtful = (np.mean([look.age_confidence for look in told]) for told in (clean, smoothed))
+    assert sure > 0.85 and doubtful < sure - 0.08
+
+
 def test_another_network_is_refused():
     for wrong in ("age_gender.onnx", "face_recognition.onnx"):
         with pytest.raises(ModelError, match=wrong):

@@ -169,6 +169,35 @@ def test_ages_are_told_as_surely_as_they_are_right(tmp_path):
     assert 0.8 < poor.age_confidence < one.age_confidence, "small and turned faces"
 
 
+class AgeOfDetails(FaceApiAgeGender):
+    """A network that takes fine details for wrinkles."""
+
+    def _run(self, batch):
+        grain = np.abs(batch[:, 1:, :, 1] - batch[:, :-1, :, 1]).mean()
+        return {"age": np.array([30.0 + grain]), "gender": np.array([0.1, 0.9])}
+
+
+def test_an_age_that_hangs_on_fine_details_is_less_sure(tmp_path):
+    """Noise, smoothed or not, and the blocks of JPEG made people 10 and more years older, as surely as ever."""
+    path = tmp_path / "age_gender.onnx"
+    face_api(path)
+    network, random = AgeOfDetails(path), np.random.RandomState(3)
+    face = cv2.GaussianBlur(random.randint(0, 255, (112, 112, 3), np.uint8), (0, 0), 8.0)
+    grainy = np.clip(face + random.normal(0.0, 20.0, face.shape), 0, 255).astype(np.uint8)
+    clear, doubtful = (fused(network.estimate([crop] * 4)) for crop in (face, grainy))
+    assert clear.age_confidence > 0.9 > 0.8 > doubtful.age_confidence
+    alone = float(network._run(grainy[None].astype(np.float32))["age"][0])
+    assert clear.age < doubtful.age < alone - 2.0, "without the details nearer to the truth"
+
+
+def test_pictures_that_tell_little_of_an_age_count_little_once_there_are_good_ones():
+    poor, good = AgeGender(60.0, 4.0, 0.9, picture_sd=12.0), AgeGender(30.0, 4.0, 0.9)
+    noisy, later = fused([poor] * 4), fused([poor] * 4 + [good] * 4)
+    assert noisy.age_confidence < 0.6, "more of them make it no surer"
+    assert later.age < 40.0 and later.age_confidence > noisy.age_confidence + 0.1
+    assert fused([good] * 4).age_confidence == fused([AgeGender(30.0, 4.0, 0.9, 0.0)] * 4).age_confidence
+
+
 def test_a_gender_is_told_only_when_it_is_sure():
     torn = fused([AgeGender(30.0, 8.0, 0.9), AgeGender(30.0, 8.0, 0.1)])
     assert not torn.gender_known and torn.p_female == pytest.approx(0.5, abs=0.01)

@@ -21,8 +21,8 @@ from hri_pipeline.core.recognition.store import PersonStore
 from hri_pipeline.core.recognition.stored_person import PermanentPerson, StoredPerson
 
 UNDEFINED, FEMALE, MALE, OTHER = range(4)      # the constants of hri_msgs/AgeAndGender and SoftBiometrics
-AGE_DEVIATION = 6.3        # years, of the estimate from one face: the default model's mean error of 5 years
 AGE_TOLERANCE = 10.0       # years: age_confidence is the probability that the age is right within them
+_LEAST_WITHIN = 0.1        # of an age of which nothing is known: a deviation of 100 years
 _LEAST_GENDER_CONFIDENCE = 0.6
 _MAX_FACES = 20
 LONGEST_NAME = 64
@@ -100,10 +100,15 @@ class DemographicsFusion:
         female = sum(face.gender_confidence * face.female for face in faces) / sure if sure else 0.5
         likely = max(female, 1.0 - female)
         gender = UNDEFINED if likely < _LEAST_GENDER_CONFIDENCE else FEMALE if female > 0.5 else MALE
+        confidence = _age_confidence(weight / len(faces), spread / max(1, len(faces) - 1))
         return DemographicsEstimate(
-            age, math.sqrt(AGE_DEVIATION ** 2 + spread) if weight else 0.0,
-            _age_confidence(weight / len(faces), spread / max(1, len(faces) - 1)), gender,
+            age, AGE_TOLERANCE / max(_within(confidence), _LEAST_WITHIN) if weight else 0.0, confidence, gender,
             likely if gender != UNDEFINED else 0.0, max(face.stamp for face in faces))
+
+
+def _within(confidence: float) -> float:
+    """Return AGE_TOLERANCE in standard deviations of an age that is right within it with this probability."""
+    return NormalDist().inv_cdf(0.5 + 0.5 * min(confidence, 0.999))
 
 
 def _age_confidence(confidence: float, variance: float) -> float:
@@ -111,7 +116,7 @@ def _age_confidence(confidence: float, variance: float) -> float:
     differ, so that their mean has this variance (years^2) besides."""
     if not variance > 0.0:
         return confidence
-    within = NormalDist().inv_cdf(0.5 + 0.5 * min(confidence, 0.999))       # AGE_TOLERANCE in standard deviations
+    within = _within(confidence)
     return math.erf(AGE_TOLERANCE * within / math.sqrt(2.0 * (AGE_TOLERANCE ** 2 + variance * within ** 2)))
 
 

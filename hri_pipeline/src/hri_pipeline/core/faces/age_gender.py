@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Callable, Dict, List, Optional, Protocol, Sequence, Tuple, Type, Union
 
+import cv2
 import numpy as np
 
 from hri_pipeline.core.camera import CameraModel
@@ -23,11 +24,16 @@ MIN_AGE, MAX_AGE = 0.0, 110.0
 
 @dataclass(frozen=True)
 class AgeGender:
-    """One estimate: age and its standard deviation (years), probability 0 to 1 of a female appearance."""
+    """One estimate: age and its standard deviation (years), probability 0 to 1 of a female appearance.
+
+    picture_sd: standard deviation (years) of an error that all estimates from such pictures share, which does not
+    average out.
+    """
 
     age: float
     age_sd: float
     p_female: float
+    picture_sd: float = 0.0
 
 
 class AgeGenderModel(Protocol):
@@ -52,6 +58,10 @@ class _OnnxAgeGender(ABC):
     """Side of the crop over that of the mesh."""
     AGE_SD = 8.0
     """Standard deviation (years) of what one good estimate is off by, besides _COMMON_SD."""
+    BLUR = 0.0
+    """Standard deviation (px) of the blur with which a crop is shown a second time; 0: once only."""
+    BLURRED_WEIGHT, BLURRED_SD = 0.0, 0.0
+    """Weight of the age of the blurred crop, and `picture_sd` over how far it is from the other."""
 
     def __init__(self, path: Union[str, Path], providers: Sequence[str] = ("cpu",),
                  notify: Optional[Callable[[str], None]] = None) -> None:
@@ -71,7 +81,17 @@ class _OnnxAgeGender(ABC):
     def estimate(self, crops: Sequence[np.ndarray]) -> List[AgeGender]:
         """Return one answer per crop, in order; an age that is not finite is returned as NaN with an infinite
         deviation."""
-        return [self._answer(self._run(crop[None].astype(np.float32))) for crop in crops]
+        return [self._estimate(crop) for crop in crops]
+
+    def _estimate(self, crop: np.ndarray) -> AgeGender:
+        sharp = self._answer(self._run(crop[None].astype(np.float32)))
+        if not (self.BLUR > 0.0 and math.isfinite(sharp.age)):
+            return sharp
+        blurred = self._answer(self._run(cv2.GaussianBlur(crop, (0, 0), self.BLUR)[None].astype(np.float32)))
+        if not math.isfinite(blurred.age):
+            return blurred
+        shift = blurred.age - sharp.age
+        return replace(sharp, age=sharp.age + self.BLURRED_WEIGHT * shift, picture_sd=self.BLURRED_SD * abs(shift))
 
     @abstractmethod
     def _run(self, batch: np.ndarray) -> Dict[str, np.ndarray]:
@@ -93,12 +113,18 @@ class FaceApiAgeGender(_OnnxAgeGender):
     On 46 faces of the demonstration and evaluation pictures: 45 genders right; 4.1 years of mean error on the 24 whose
     age is roughly known. Larger crops are worse (margin 1.3: 5.1 years). Of one man on 11 photographs the ages spread
     by 3.1 years; with _COMMON_SD the age is within 10 years a little more often than is said.
+
+    What noise, its smoothing, compression and sharpening add to a face makes it older. The same crop blurred tells: an
+    age that hangs on the finest details goes with them.
     """
 
     INPUTS = ("image",)
     OUTPUTS = {"age": 1, "gender": 2}
     SIZE = 112
     AGE_SD = 4.0
+    # Fitted on 23 faces spoilt in 41 ways, against what is told of them clean: an age of one spoilt crop is off by 6.5
+    # years (root mean square) alone, by 5.8 with the blurred one.
+    BLUR, BLURRED_WEIGHT, BLURRED_SD = 2.0, 0.3, 0.53
 
     def _run(self, batch: np.ndarray) -> Dict[str, np.ndarray]:
         return self._model.run({"image": np.ascontiguousarray(batch[..., ::-1])})
@@ -202,7 +228,7 @@ class AgeGenderFusion:
     """Fuses the estimates of one face over time: weighted by picture quality, robust against outliers."""
 
     def __init__(self) -> None:
-        self._samples: List[Tuple[float, float, float, float, float]] = []
+        self._samples: List[Tuple[float, float, float, float, float, float]] = []
         self._last = -math.inf
 
     def add(self, estimate: AgeGender, quality: float, stamp: float) -> None:
@@ -213,11 +239,11 @@ class AgeGenderFusion:
         if stamp < self._last:
             self._samples = []
         self._last = stamp
-        numbers = (stamp, estimate.age, estimate.age_sd, estimate.p_female, quality)
+        numbers = (stamp, estimate.age, estimate.age_sd, estimate.p_female, quality, estimate.picture_sd)
         if not all(math.isfinite(number) for number in numbers) or not quality > 0.0 or not estimate.age_sd > 0.0:
             return
         self._samples.append((stamp, estimate.age, estimate.age_sd, min(max(estimate.p_female, 1e-3), 1.0 - 1e-3),
-                              min(quality, 1.0)))
+                              min(quality, 1.0), estimate.picture_sd))
         if len(self._samples) > _KEPT:
             weights = self._weights(stamp)
             self._samples.pop(int(np.argmin(weights)))
@@ -234,8 +260,11 @@ class AgeGenderFusion:
         if total < _NEEDED_WEIGHT:
             return None
         samples = np.array(self._samples)
-        age, sd = _robust_mean(samples[:, 1], samples[:, 2], weights)
-        age_sd = math.hypot(sd, _COMMON_SD)
+        # Who was seen in noise first and well later is as old as seen well.
+        picture = samples[:, 5] ** 2
+        clear = weights * _COMMON_SD ** 2 / (_COMMON_SD ** 2 + picture)
+        age, sd = _robust_mean(samples[:, 1], samples[:, 2], clear)
+        age_sd = math.sqrt(sd ** 2 + _COMMON_SD ** 2 + float((clear * picture).sum() / clear.sum()))
         odds = np.clip(np.log(samples[:, 3] / (1.0 - samples[:, 3])), -_MAX_LOG_ODDS, _MAX_LOG_ODDS)
         # Estimates of one face have a common error: their mean counts, not their sum.
         p_female = 1.0 / (1.0 + math.exp(-float((weights * odds).sum()) / total))
