@@ -281,8 +281,8 @@ class ImageInputTest(InputCase):
         np.testing.assert_allclose(camera.matrix, [[80, 0, 32], [0, 80, 24], [0, 0, 1]])
         level, text, _ = image_input.status()
         self.assertEqual(level, WARN)
-        self.assertIn("it is for 320x240 px by the principal point in K, but images are 64x48; the calibration is scaled",
-                      text)
+        self.assertIn("it is for 320x240 px by the principal point in K, but images are 64x48; the calibration is "
+                      "scaled", text)
 
     def test_an_image_without_stamp_has_the_time_of_its_arrival_however_late_it_is_taken(self):
         image_input = self.image_input()
