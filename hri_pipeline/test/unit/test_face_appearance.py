@@ -112,6 +112,24 @@ def test_a_new_light_and_a_shift_are_no_other_face(faces):
     assert seen[9][220] == seen[0][200] and len(faces.tracks) == 1
 
 
+class DazzledNetwork(Network):
+    """To it all who are burnt white are one other person."""
+
+    def __call__(self, crops):
+        return super().__call__([person(9) if np.mean(crop > 250) > 0.5 else crop for crop in crops])
+
+
+@pytest.mark.parametrize("after, is_same", [(1, True), (2, False)])
+def test_a_face_that_is_burnt_white_has_no_template_and_is_nobody_else(after, is_same):
+    """A camera that has just come out of the dark exposes for too long."""
+    faces = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceMatcher(DazzledNetwork(), 150, 0.8))
+    normal, burnt = scene((1, 200)), np.clip(scene((1, 200)) * 2.0 + 140.0, 0, 255).astype(np.uint8)
+    assert correlation(look(normal, 200), look(burnt, 200)) < 0.8, "it looks unlike itself"
+    seen = show(faces, *[(normal, [200])] * 5, *[(burnt, [200])] * 9, *[(scene((after, 200)), [200])] * 8)
+    assert {one[200] for one in seen[:14]} == {seen[0][200]}
+    assert (seen[-1][200] == seen[0][200]) is is_same
+
+
 def test_what_was_lost_goes_on_with_the_same_face_only(faces):
     lost = [(scene(), [])] * 3
     seen = show(faces, *[(scene((1, 200)), [200])] * 5, *lost, *[(scene((1, 230)), [230])] * 2)
@@ -350,6 +368,15 @@ def test_half_images_are_a_scene_of_their_own_after_a_while():
     assert [cuts.update(half_grey(view(1)), stamp) or cuts.blank for stamp in (1.1, 1.2, 1.29, 1.4, 1.5)] == [
         True, True, True, False, False]
     assert not cuts.update(view(1), 1.6) and not cuts.blank
+
+
+@pytest.mark.parametrize("offset", [-400.0, 400.0])
+def test_light_that_burns_a_part_of_the_picture_white_or_black_damages_nothing(offset):
+    cuts = PictureCuts()
+    cuts.update(view(1), 1.0)
+    image = view(1)
+    image[:120] = np.clip(image[:120] + offset, 0, 255)
+    assert not cuts.update(image, 1.1) and not cuts.blank
 
 
 @pytest.mark.parametrize("bars", [0.0, 128.0])

@@ -389,9 +389,9 @@ _LONGEST_BLANK = 3.0
 """Time (s) after which pictures of nothing are a scene of their own."""
 _LONGEST_FLAW = 0.3
 """Time (s) for which images that are damaged, or of another scene, are passed over: after that they are the scene."""
-_FLAT_BY, _FLAT_PART = 1.0, 0.15
-"""Grey values by which the pixels of a row differ where nothing was received, and part of the rows of which this is so
-all at once: a sensor has noise."""
+_FLAT_BY, _FLAT_PART, _EXPOSED = 1.0, 0.15, (5.0, 250.0)
+"""Grey values by which the pixels of a row differ where nothing was received, part of the rows of which this is so all
+at once, and grey values out of which light may do the same: between them a sensor has noise."""
 _STAYED, _STAYED_BY = 0.62, 6.0
 """Part of the picture that stays as it was, within so many grey values, from which there was no cut: people who cross
 before a wall leave .67 and more of it, even at 2 Hz; cuts between photographs and between films .20, one pair .57."""
@@ -444,7 +444,7 @@ class PictureCuts:
         something."""
         small = self._small(bgr)
         contrast = _deviation(cv2.blur(small, (3, 3)))
-        flat = int(np.count_nonzero(np.ptp(small, axis=1) <= _FLAT_BY))
+        flat = _flat_rows(small)
         passed = stamp - self.shown_at if self._last is not None else math.inf
         is_empty = 0.0 <= passed <= _LONGEST_BLANK and contrast < min(_EMPTY, _FADED * self._contrast)
         self._was_empty |= is_empty
@@ -490,6 +490,12 @@ class PictureCuts:
         step = max(1, min(bgr.shape[:2]) // (2 * _SIDE))
         green = np.ascontiguousarray(bgr[::step, ::step, 1])
         return cv2.resize(green, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA).astype(np.float32)
+
+
+def _flat_rows(small: np.ndarray) -> int:
+    """Return how many rows of a small picture (H, W) are of one colour that is neither black nor white."""
+    low, high = small.min(axis=1), small.max(axis=1)
+    return int(np.count_nonzero((high - low <= _FLAT_BY) & (low > _EXPOSED[0]) & (high < _EXPOSED[1])))
 
 
 # What is kept of a place: its longer side (px), and how much around it, in its longer sides; grey values by which
