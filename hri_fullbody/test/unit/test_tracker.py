@@ -125,6 +125,22 @@ def test_who_was_there_when_the_light_went_off_is_waited_for(x):
     assert tracker.tracks == []
 
 
+def test_a_black_image_now_and_then_costs_nobody_more_than_that_image():
+    scene = Scene([(600, 400)])
+    tracker = make(scene)
+    stamp = run(tracker, 0.0, 30, boxes=[box_of(600, 400)], image=NOISE)
+    told = []
+    for _ in range(5):
+        scene.people = []
+        stamp = run(tracker, stamp, 1)
+        told.append([track.id for track in tracker.published(stamp)])
+        scene.people = [(600, 400)]
+        tracker.follow(NOISE, stamp)
+        told.append([track.id for track in tracker.published(stamp)])
+        stamp = run(tracker, stamp + STEP, 3, image=NOISE)
+    assert told == 5 * [[], ["b0"]]
+
+
 def test_in_the_dark_no_body_is_seen_and_none_drifts_to_a_neighbour():
     scene = Scene([(600, 400)])
     tracker = make(scene)

@@ -57,6 +57,40 @@ def test_region_of_interest_binning_and_size(left, top, width, height, across, d
     np.testing.assert_allclose(half.project(point), expected * [3, 2], atol=1e-9)
 
 
+@pytest.mark.parametrize("told, measured", [
+    ((1280, 720), (640, 360)), ((1920, 1080), (1280, 720)), ((640, 480), (1280, 960)), ((640, 360), (1920, 1080)),
+    ((1280, 720), (424, 239)), ((640, 480), (1024, 768))])
+@pytest.mark.parametrize("off", [(1.0, 1.0), (1.05, 0.96), (0.96, 1.03)])
+def test_a_matrix_of_another_resolution_is_known_by_its_middle(told, measured, off):
+    """Calibrated at one resolution, and the driver gives another one."""
+    width, height = measured
+    focal = 0.8 * width
+    matrix = [focal, 0, 0.5 * width * off[0], 0, focal, 0.5 * height * off[1], 0, 0, 1]
+    model = CameraModel.from_calibration(*told, matrix, [], "plumb_bob", 1.0)
+    assert (model.width, model.height) == (width, pytest.approx(height, abs=1))
+    assert model.resized(*told).matrix[0, 0] == pytest.approx(0.8 * told[0])
+
+
+@pytest.mark.parametrize("middle", [(560, 400), (700, 330), (760, 360), (640, 480), (400, 360), (700, 120), (520, 470)])
+def test_a_matrix_whose_middle_is_off_is_of_its_resolution(middle):
+    """As of lenses that sit askew, shifted sensors, and rectified images."""
+    model = CameraModel.from_calibration(1280, 720, [900, 0, middle[0], 0, 900, middle[1], 0, 0, 1], [], "", 1.0)
+    assert (model.width, model.height) == (1280, 720)
+
+
+def test_a_region_of_interest_has_its_middle_anywhere():
+    model = CameraModel.from_calibration(1280, 720, [900, 0, 640, 0, 900, 360, 0, 0, 1], [], "", 1.0,
+                                         roi_x=320, roi_y=180, roi_width=320, roi_height=180)
+    assert (model.width, model.height, model.matrix[0, 2]) == (320, 180, 320.0)
+
+
+@pytest.mark.parametrize("told, measured", [((1920, 1080), (640, 480)), ((640, 480), (1920, 1080))])
+def test_a_matrix_of_another_shape_of_image_is_refused(told, measured):
+    width, height = measured
+    with pytest.raises(CameraError, match="{}, {}, .* another resolution".format(width // 2, height // 2)):
+        CameraModel.from_calibration(*told, [900, 0, width / 2, 0, 900, height / 2, 0, 0, 1], [], "", 1.0)
+
+
 NUMBERS = st.sampled_from([0.0, 1.0, -1.0, 5e-324, 1e-300, 1e300, -1e5, np.nan, np.inf]) | st.floats()
 
 

@@ -112,6 +112,24 @@ def test_a_new_light_and_a_shift_are_no_other_face(faces):
     assert seen[9][220] == seen[0][200] and len(faces.tracks) == 1
 
 
+class DazzledNetwork(Network):
+    """To it all who are burnt white are one other person."""
+
+    def __call__(self, crops):
+        return super().__call__([person(9) if np.mean(crop > 250) > 0.5 else crop for crop in crops])
+
+
+@pytest.mark.parametrize("after, is_same", [(1, True), (2, False)])
+def test_a_face_that_is_burnt_white_has_no_template_and_is_nobody_else(after, is_same):
+    """A camera that has just come out of the dark exposes for too long."""
+    faces = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceMatcher(DazzledNetwork(), 150, 0.8))
+    normal, burnt = scene((1, 200)), np.clip(scene((1, 200)) * 2.0 + 140.0, 0, 255).astype(np.uint8)
+    assert correlation(look(normal, 200), look(burnt, 200)) < 0.8, "it looks unlike itself"
+    seen = show(faces, *[(normal, [200])] * 5, *[(burnt, [200])] * 9, *[(scene((after, 200)), [200])] * 8)
+    assert {one[200] for one in seen[:14]} == {seen[0][200]}
+    assert (seen[-1][200] == seen[0][200]) is is_same
+
+
 def test_what_was_lost_goes_on_with_the_same_face_only(faces):
     lost = [(scene(), [])] * 3
     seen = show(faces, *[(scene((1, 200)), [200])] * 5, *lost, *[(scene((1, 230)), [230])] * 2)
@@ -313,7 +331,61 @@ def test_pictures_of_nothing_are_a_scene_of_their_own_after_three_seconds():
     cuts.update(view(1), 1.0)
     told = [(cuts.update(NOTHING["green"], stamp), cuts.blank) for stamp in (2.0, 4.0, 4.1, 4.2)]
     assert told == [(False, True), (False, True), (True, False), (False, False)]
-    assert cuts.update(view(1), 4.3)
+    assert not cuts.update(view(1), 4.3) and cuts.update(view(1), 4.4)
+
+
+def half_grey(image):
+    """An image of which the rest did not arrive."""
+    image = image.copy()
+    image[200:] = 128
+    return image
+
+
+DAMAGED = {"shifted": np.roll(view(1), 213, axis=1)[::-1], "of another scene": view(2), "half": half_grey(view(1))}
+
+
+@pytest.mark.parametrize("damaged", sorted(DAMAGED))
+def test_a_single_image_that_shows_something_else_is_passed_over(damaged):
+    cuts = PictureCuts()
+    told = [(cuts.update(image, 1.0 + 0.1 * step), cuts.blank) for step, image in enumerate(
+        [view(1), view(1), DAMAGED[damaged], view(1, (9, 0)), view(1), DAMAGED[damaged], view(1)])]
+    assert told == [(False, number in (2, 5)) for number in range(7)]
+
+
+@pytest.mark.parametrize("rate", [3.0, 10.0, 30.0])
+def test_a_cut_is_told_when_the_next_image_shows_it_too(rate):
+    cuts = PictureCuts()
+    told = [(cuts.update(image, 1.0 + step / rate), cuts.blank) for step, image in enumerate(
+        [view(1), view(1), view(2), view(2, (5, 0)), view(2)])]
+    cut = (True, False)
+    assert told[2:] == ([cut, (False, False), (False, False)] if rate < 3.3 else
+                        [(False, True), cut, (False, False)])
+
+
+def test_half_images_are_a_scene_of_their_own_after_a_while():
+    cuts = PictureCuts()
+    cuts.update(view(1), 1.0)
+    assert [cuts.update(half_grey(view(1)), stamp) or cuts.blank for stamp in (1.1, 1.2, 1.29, 1.4, 1.5)] == [
+        True, True, True, False, False]
+    assert not cuts.update(view(1), 1.6) and not cuts.blank
+
+
+@pytest.mark.parametrize("offset", [-400.0, 400.0])
+def test_light_that_burns_a_part_of_the_picture_white_or_black_damages_nothing(offset):
+    cuts = PictureCuts()
+    cuts.update(view(1), 1.0)
+    image = view(1)
+    image[:120] = np.clip(image[:120] + offset, 0, 255)
+    assert not cuts.update(image, 1.1) and not cuts.blank
+
+
+@pytest.mark.parametrize("bars", [0.0, 128.0])
+def test_bars_and_a_floor_of_one_colour_stay(bars):
+    cuts = PictureCuts()
+    for step in range(20):
+        image = view(1, (2 * step, 0))
+        image[:100], image[-100:] = bars, bars
+        assert not cuts.update(image, 1.0 + 0.1 * step) and not cuts.blank
 
 
 def test_a_wall_with_somebody_far_away_before_it_is_not_nothing():

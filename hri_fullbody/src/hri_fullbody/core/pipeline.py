@@ -271,6 +271,8 @@ class BodyPipeline:
         When the detector is due in every image, or images are slow, both are done in each. It is asked at once for a
         body that was found without it, and more often while one is hidden.
         """
+        if self._tracker.is_blank:
+            return
         period = self._settings.person_detection_period * (_HIDDEN_SHARE if self._tracker.awaits_return(stamp) else 1.0)
         due = stamp - self._last_detection >= period or self._tracker.awaits_detector
         detected_before, self._detected_before = self._detected_before, due

@@ -28,6 +28,10 @@ _FOCAL_WIDTHS = (0.02, 500.0)
 _MAX_ASPECT = 10.0
 _MAX_OFF_CENTRE = 1.5
 _MAX_COEFFICIENT = 1e4
+# A middle so many times as far from the corner as that of the image is that of another resolution; how much the factors
+# across and down may differ in one shape of image; and how wide images of cameras are, px.
+_OTHER_SIZE, _SAME_SHAPE = 1.2, 1.15
+_WIDTHS = (160, 320, 424, 640, 800, 848, 960, 1024, 1280, 1600, 1920, 2048, 2560, 3840, 4096)
 _MAX_SENSOR = 65536
 _ALIASES = {"": PLUMB_BOB, "fisheye": EQUIDISTANT}
 _HINT = "calibrate the camera, or publish an all-zero K to use the field of view parameter"
@@ -155,6 +159,9 @@ class CameraModel:
     ) -> "CameraModel":
         """Make the model of the image that belongs to a sensor_msgs/CameraInfo.
 
+        Where K was measured at another resolution of the same shape than the message tells, which its principal point
+        betrays, the model is of that size.
+
         Parameters
         ----------
         width, height : int
@@ -178,15 +185,21 @@ class CameraModel:
             For numbers that no real camera has.
         """
         bin_x, bin_y = max(1, int(binning_x)), max(1, int(binning_y))
-        image_width = (int(roi_width) or int(width) - int(roi_x)) // bin_x
-        image_height = (int(roi_height) or int(height) - int(roi_y)) // bin_y
+        roi = (int(roi_x), int(roi_y), int(roi_width), int(roi_height))
         matrix = np.asarray(K9, dtype=np.float64).reshape(-1)
         if matrix.size != 9:
             raise CameraError("K has {} numbers instead of 9; {}".format(matrix.size, _HINT))
-        if not np.any(matrix):
-            return cls.from_fov(image_width, image_height, fallback_hfov_rad, Calibration.UNCALIBRATED)
+        is_known = bool(np.any(matrix))
         matrix = matrix.reshape(3, 3).copy()
-        _check_sensor(matrix, int(width), int(height), (int(roi_x), int(roi_y), int(roi_width), int(roi_height)))
+        if is_known:
+            _check_sensor(matrix, int(width), int(height), roi)
+            if roi in ((0, 0, 0, 0), (0, 0, width, height)):
+                width, height = _measured_size(matrix, int(width), int(height))
+                roi = (0, 0, 0, 0)
+        image_width = (roi[2] or int(width) - roi[0]) // bin_x
+        image_height = (roi[3] or int(height) - roi[1]) // bin_y
+        if not is_known:
+            return cls.from_fov(image_width, image_height, fallback_hfov_rad, Calibration.UNCALIBRATED)
         matrix[0, 2] -= roi_x
         matrix[1, 2] -= roi_y
         matrix[0] /= bin_x
@@ -505,6 +518,19 @@ def _check_sensor(matrix: np.ndarray, width: int, height: int, roi: Tuple[int, i
     if max(off) > _MAX_OFF_CENTRE:
         raise CameraError("the principal point in K, {:g}, {:g}, lies far outside of {}x{} px; {}".format(
             matrix[0, 2], matrix[1, 2], width, height, _HINT))
+
+
+def _measured_size(matrix: np.ndarray, width: int, height: int) -> Tuple[int, int]:
+    """Return the size of the images, px, in which K was measured: `width` and `height`, unless its principal point is
+    the middle of other ones of that shape. Raises CameraError where it is that of another shape."""
+    across, down = 2.0 * matrix[0, 2] / width, 2.0 * matrix[1, 2] / height
+    if not (max(across, down) < 1.0 / _OTHER_SIZE or min(across, down) > _OTHER_SIZE):
+        return width, height
+    if min(across, down) <= 0.0 or not 1.0 / _SAME_SHAPE < across / down < _SAME_SHAPE:
+        raise CameraError("the principal point in K, {:g}, {:g}, is far from the middle of {}x{} px, as of another "
+                          "resolution; {}".format(matrix[0, 2], matrix[1, 2], width, height, _HINT))
+    found = min(_WIDTHS, key=lambda known: abs(math.log(known / (across * down) ** 0.5 / width)))
+    return found, round(found * height / width)
 
 
 def _without_zeros(model: str, distortion: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@ cuts between the pictures of a film, and whether a place has changed."""
 
 from __future__ import annotations
 
+import math
 import warnings
 from typing import Callable, Dict, NamedTuple, Optional, Tuple, Union
 
@@ -386,6 +387,11 @@ _EMPTY, _FADED = 4.0, 0.25
 below which it does so all at once: a wall with somebody far away before it is as smooth."""
 _LONGEST_BLANK = 3.0
 """Time (s) after which pictures of nothing are a scene of their own."""
+_LONGEST_FLAW = 0.3
+"""Time (s) for which images that are damaged, or of another scene, are passed over: after that they are the scene."""
+_FLAT_BY, _FLAT_PART, _EXPOSED = 1.0, 0.15, (5.0, 250.0)
+"""Grey values by which the pixels of a row differ where nothing was received, part of the rows of which this is so all
+at once, and grey values out of which light may do the same: between them a sensor has noise."""
 _STAYED, _STAYED_BY = 0.62, 6.0
 """Part of the picture that stays as it was, within so many grey values, from which there was no cut: people who cross
 before a wall leave .67 and more of it, even at 2 Hz; cuts between photographs and between films .20, one pair .57."""
@@ -416,32 +422,43 @@ class PictureCuts:
     or by people who walk before the same background.
 
     An image that suddenly shows nothing (no light, a covered lens, a broken image) is no cut: what comes after it is
-    compared with what was there before.
+    compared with what was there before. So is one of which a part was not received, and one that shows something else
+    when the next one does not: cameras and networks damage images now and then. A cut is told with its second image.
     """
 
     def __init__(self) -> None:
         self._last: Optional[np.ndarray] = None
         self._contrast = 0.0        # of the last image that showed something
+        self._flat = 0              # rows of it that are of one colour
+        self._was_empty = self._is_doubted = False      # what the images were that were passed over since
         self.shown_at = 0.0
         """Stamp (s) of that image."""
         self.changed = False
         """Whether most of the last image shows something else than the one before did there."""
         self.blank = False
-        """Whether the last image shows nothing, and those up to three seconds before it did."""
+        """Whether the last image is to be passed over: it shows nothing, is damaged, or something else for the first
+        time."""
 
     def update(self, bgr: np.ndarray, stamp: float = 0.0) -> bool:
         """Return whether `bgr` (H, W, 3) uint8 of `stamp` (s) shows something else than the last image that showed
         something."""
         small = self._small(bgr)
         contrast = _deviation(cv2.blur(small, (3, 3)))
-        least = _CUT_IN_BLANK if self.blank else _CUT
-        self.blank = (self._last is not None and 0.0 <= stamp - self.shown_at <= _LONGEST_BLANK
-                      and contrast < min(_EMPTY, _FADED * self._contrast))
+        flat = _flat_rows(small)
+        passed = stamp - self.shown_at if self._last is not None else math.inf
+        is_empty = 0.0 <= passed <= _LONGEST_BLANK and contrast < min(_EMPTY, _FADED * self._contrast)
+        self._was_empty |= is_empty
+        self.blank = is_empty or (0.0 < passed <= _LONGEST_FLAW and flat - self._flat > _FLAT_PART * _SIDE)
         if self.blank:
             self.changed = False
             return False
-        is_cut = self._is_cut(small, contrast, least)
-        self._last, self._contrast, self.shown_at = small, contrast, stamp
+        is_cut = self._is_cut(small, contrast, _CUT_IN_BLANK if self._was_empty else _CUT)
+        if is_cut and not self._was_empty and not self._is_doubted and 0.0 < passed <= _LONGEST_FLAW:
+            self.blank = self._is_doubted = True
+            self.changed = False
+            return False
+        self._was_empty = self._is_doubted = False
+        self._last, self._contrast, self._flat, self.shown_at = small, contrast, flat, stamp
         return is_cut
 
     def _is_cut(self, small: np.ndarray, contrast: float, least: float) -> bool:
@@ -466,12 +483,19 @@ class PictureCuts:
     def reset(self) -> None:
         """Forget the last image."""
         self._last, self.blank = None, False
+        self._was_empty = self._is_doubted = False
 
     @staticmethod
     def _small(bgr: np.ndarray) -> np.ndarray:
         step = max(1, min(bgr.shape[:2]) // (2 * _SIDE))
         green = np.ascontiguousarray(bgr[::step, ::step, 1])
         return cv2.resize(green, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA).astype(np.float32)
+
+
+def _flat_rows(small: np.ndarray) -> int:
+    """Return how many rows of a small picture (H, W) are of one colour that is neither black nor white."""
+    low, high = small.min(axis=1), small.max(axis=1)
+    return int(np.count_nonzero((high - low <= _FLAT_BY) & (low > _EXPOSED[0]) & (high < _EXPOSED[1])))
 
 
 # What is kept of a place: its longer side (px), and how much around it, in its longer sides; grey values by which

@@ -507,8 +507,10 @@ class CameraInfoInput:
         if (camera.width, camera.height) == (width, height):
             return camera, ""
         ratio = (camera.width / camera.height) / (width / height)
-        sizes = "{}: it is for {}x{} px, but images are {}x{}".format(
-            self.topic, camera.width, camera.height, width, height)
+        sizes = "{}: it is for {}x{} px{}, but images are {}x{}".format(
+            self.topic, camera.width, camera.height,
+            " by the principal point in K" if (info.width, info.height) == (width, height)
+            and max(info.binning_x, info.binning_y) < 2 else "", width, height)
         if abs(ratio - 1.0) > ASPECT_TOLERANCE:
             return fallback, "{}, another shape; calibrate this resolution; {}".format(sizes, self._hint)
         return camera.resized(width, height), sizes + "; the calibration is scaled"

@@ -161,7 +161,9 @@ class BodyTracker:
     def published(self, stamp: float) -> List[BodyTrack]:
         """Confirmed bodies that their last inference found (after a gap, the last two), not longer ago than the death
         time or their turn takes; of slow images also those that it missed, and the one before did not. Those that may
-        lie on a hidden neighbour are silent."""
+        lie on a hidden neighbour are silent; nobody is told of an image that is passed over (`is_blank`)."""
+        if self.is_blank:
+            return []
         return [track for track in self.tracks if track.confirmed and not track.mistaken
                 and (track.kept or track.visible and not track.returning)
                 and stamp - (track.inferred_at if track.kept else track.stamp) <= max(
@@ -181,9 +183,9 @@ class BodyTracker:
                 track.cut_off(stamp)
             self._stale_faces, self._stale_until = self._shown_faces, stamp + _STALE_S
         if self._cuts.blank:    # the network makes bodies of noise, which drift to a neighbour
-            too_long = stamp - self._cuts.shown_at > _LONGEST_BLANK
-            for track in self.tracks:
-                (track.cut_off if too_long else track.missed)(stamp)
+            if stamp - self._cuts.shown_at > _LONGEST_BLANK:
+                for track in self.tracks:
+                    track.cut_off(stamp)
             self._judge_hidden(stamp, image.shape[1], ())
             self.tracks = [track for track in self.tracks if not track.dead(stamp)]
             return
@@ -229,6 +231,11 @@ class BodyTracker:
         for track in self.tracks:
             track.wait = wait
         return [waiting[name] for name in chosen]
+
+    @property
+    def is_blank(self) -> bool:
+        """Whether the last image was passed over: it showed nothing, was damaged, or of another scene."""
+        return self._cuts.blank
 
     @property
     def awaits_detector(self) -> bool:

@@ -34,6 +34,9 @@ EYES = (33, 263)
 _NOSE = 4
 LEAST_EYES = 16.0
 """Distance of the outer corners of the eyes (px) from which a template tells who it is."""
+_WHITE, _BURNT_PART = 254, 0.4
+"""Value of all three channels from which a pixel is burnt white, and part of a face of which its template tells
+nothing: by .5 it is .27 to .47 from that of the same face in better light. Unspoilt ones of photographs have .01."""
 SUDDEN, GRADUAL = 0.8, 0.6
 """Correlation with the last look, and with the views of the last seconds, below which a face has changed."""
 SAME_PART, OTHER_PART = 0.85, 0.95
@@ -90,11 +93,12 @@ class FaceLook:
         self.template: Optional[np.ndarray] = None
 
     def keep_crop(self, size: int, alignment: str = "dlib") -> None:
-        """Make the crop (size, size, 3) for the recognition network, where the face is large enough; alignment: see
-        `face_chip`."""
+        """Make the crop (size, size, 3) for the recognition network, where the face is large enough and not burnt
+        white; alignment: see `face_chip`."""
         if self.crop is None and self._bgr is not None and self.eyes >= LEAST_EYES:
-            self.crop = face_chip(self._bgr, self._mesh, size, alignment=alignment, camera=self._camera,
-                                  origin=self._origin or (0, 0))
+            crop = face_chip(self._bgr, self._mesh, size, alignment=alignment, camera=self._camera,
+                             origin=self._origin or (0, 0))
+            self.crop = None if _is_burnt(crop) else crop
             if self._origin is not None:        # nothing else is made of a part
                 self._bgr = None
 
@@ -123,6 +127,12 @@ class FaceLook:
         """Let go of the image."""
         if self._origin is None:
             self._bgr = None
+
+
+def _is_burnt(crop: np.ndarray) -> bool:
+    """Whether much of the middle of a crop (S, S, 3) is white: it was exposed for too long."""
+    border = len(crop) // 5
+    return bool((crop[border:-border, border:-border].min(axis=2) >= _WHITE).mean() > _BURNT_PART)
 
 
 def asymmetry(mesh: np.ndarray) -> float:
