@@ -165,6 +165,16 @@ def test_a_face_without_a_body_rests_twice_as_long_each_time_until_a_body_is_fou
     assert not is_tried(stamp + 0.49) and is_tried(stamp + 0.5)
 
 
+def test_after_a_reset_nothing_rests_until_a_time_that_is_far_ahead():
+    queue = CandidateQueue()
+    queue.give_up("f", 100.0)
+    queue.give_up(None, 100.0, BOX)
+    queue.clear()                           # time went back
+    queue.offer_faces([FACE], 0.0)
+    queue.offer_boxes([], [], [], 0.0, unsure=[BOX])
+    assert len(queue) == 2
+
+
 def test_of_faces_that_were_tried_in_vain_and_are_gone_nothing_is_kept():
     queue = CandidateQueue()
     for number in range(1000):

@@ -63,9 +63,10 @@ def test_other_clothes_too_far_or_too_late_are_somebody_else():
 @pytest.mark.parametrize("face, more, is_told", [
     ("old", dict(noise=1.2), True), ("old", dict(noise=1.5), False), (None, dict(noise=1.5), False),
     ("old", dict(noise=1.5, face="new"), False), ("old", dict(noise=1.5, face="old"), True),
+    ("old", dict(face="new"), True),
     ("old", dict(stature=1.75, stature_sd=0.03), True), ("old", dict(stature=1.72, stature_sd=0.03), False)],
     ids=["clothes alike", "clothes", "clothes, no faces", "clothes, a face that nobody had", "clothes, the same face",
-         "stature alike", "stature"])
+         "a face that nobody had", "stature alike", "stature"])
 def test_what_differs_too_much_is_of_somebody_else_however_well_all_else_fits(face, more, is_told):
     known = after(body("a", 1, face=face, stature=1.80, stature_sd=0.03))
     assert told(known, 20.2, 23.0, body("b", 1, **more)) == [("b", "a")] * is_told
@@ -95,6 +96,27 @@ def test_without_a_place_of_both_the_clothes_tell(placed):
     old, new = (body(name, 1, 5.0 * (name == "b")) for name in "ab")
     old, new = (one if one.id == placed else one._replace(place=None) for one in (old, new))
     assert told(after(old), 20.2, 23.0, new) == [("b", "a")]
+
+
+@pytest.mark.parametrize("shown, hides, new, is_told", [
+    (dict(face="f"), dict(face=None), dict(noise=1.5, face="f"), True),
+    (dict(stature=1.80, stature_sd=0.03), {}, dict(stature=1.62, stature_sd=0.03), False),
+    ({}, dict(appearance=None), {}, True),
+    ({}, dict(place=None), dict(x=5.0), False),
+    (dict(x=5.0), {}, dict(x=5.0), True)], ids=["face", "stature", "clothes", "place", "another place"])
+def test_what_a_body_has_shown_last_is_known_of_it_when_it_is_lost(shown, hides, new, is_told):
+    known = BodyReidentifier(10.0)
+    show(known, 0.0, 10.0, body("a", 1))
+    show(known, 10.0, 19.0, body("a", 1, **shown))
+    show(known, 19.0, 20.0, body("a", 1, shown.get("x", 0.0))._replace(**hides))
+    assert told(known, 20.0, 23.0, body("b", 1, **new)) == [("b", "a")] * is_told
+
+
+def test_who_was_there_for_a_moment_only_is_not_remembered():
+    known, other = BodyReidentifier(10.0), body("x", 9)
+    show(known, 0.0, 20.0, other)
+    show(known, 20.0, 20.5, other, body("a", 1))
+    assert told(known, 20.5, 23.0, other, body("b", 1)) == []
 
 
 def test_two_who_were_seen_at_once_are_two():
