@@ -386,6 +386,19 @@ def test_who_comes_is_looked_at_before_all_who_are_known():
     assert len(tracker.tracks) == 7
 
 
+def test_a_screen_on_which_something_moves_keeps_nobody_beside_it_from_being_found_in_slow_images():
+    """Its box comes first, and each time the second look sees no human."""
+    tracker = make(Scene([(400, 400), (560, 400)]), is_human=lambda image, box: box[0] > 450)
+    boxes = [box_of(400, 400), box_of(560, 400)]
+    for second in range(4):
+        image = NOISE.copy()
+        image[200:700, 330:470] = 60 * second
+        tracker.follow(image, float(second))
+        tracker.propose(boxes, [], float(second))
+        tracker.try_new(image, float(second), [], 2)
+    assert 560.0 in [track.estimate.centre[0] for track in tracker.tracks]
+
+
 def test_an_image_that_comes_twice_is_looked_at_once():
     scene = Scene([(600, 400)])
     tracker = make(scene)

@@ -157,8 +157,9 @@ class CandidateQueue:
             accompanied = any(face_at_top(face, other) for other in group for face in faces)
             offered.append(replace(BodyCandidate() if known is None else waiting[known][0], box=box, alone=alone,
                                    unsure=doubtful, in_group=bool(group), accompanied=accompanied))
-        # In slow images there may be one inference between two calls of the detector: what has begun is finished.
-        self._queue.extend(sorted(offered, key=lambda item: (item.unsure, item.first is None)))
+        # In slow images there may be one inference between two calls of the detector: what has begun is finished, and
+        # what was looked at in vain lets the others go first.
+        self._queue.extend(sorted(offered, key=lambda item: (item.unsure, item.first is None, item.looked)))
 
     def take(self) -> Optional[BodyCandidate]:
         """Return the next candidate, None when there is none."""
