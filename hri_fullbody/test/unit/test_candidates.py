@@ -1,5 +1,6 @@
 """Windows that are tried for a person's box: several where it stands alone, one among others."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -59,8 +60,23 @@ def test_a_body_out_of_another_window_must_be_sure():
     assert not tried(offered([]), lambda sides: 0.1 if sides == [1.25] else 0.7)[1]
 
 
-def test_a_body_out_of_another_window_must_be_that_of_the_box():
-    assert not tried(offered([]), lambda sides: 0.1 if sides == [1.25] else 0.95, BESIDE)[1]
+@pytest.mark.parametrize("trunk_seen", [True, False])
+def test_a_body_out_of_another_window_must_be_that_of_the_box(trunk_seen):
+    assert not tried(offered([]), lambda sides: 0.1 if sides == [1.25] else 0.95, BESIDE, trunk_seen=trunk_seen)[1]
+
+
+@pytest.mark.parametrize("nose", [(90.0, 120.0), (210.0, 120.0), (150.0, 90.0), (150.0, 410.0)])
+def test_where_a_box_is_sure_the_nose_may_lie_outside_and_where_it_is_unsure_not(nose):
+    assert tried(offered([]), lambda sides: 0.95, nose=nose)[1]
+    queue = CandidateQueue()
+    queue.offer_boxes([], [], [], 0.0, unsure=[BOX])
+    assert not tried(queue, lambda sides: 0.95, nose=nose)[1]
+
+
+def test_an_unsure_box_that_shows_nobody_rests_also_beside_others():
+    queue = CandidateQueue()
+    queue.offer_boxes([BESIDE], [], [BESIDE], 0.0, unsure=[BOX])
+    assert [(item.unsure, item.alone) for item in (queue.take(), queue.take())] == [(False, True), (True, True)]
 
 
 def test_a_body_that_is_smaller_than_its_box_is_another_thing():
@@ -85,7 +101,6 @@ def test_a_box_that_the_detector_is_unsure_of_has_one_window_and_must_show_a_sur
     assert tried(unsure(), lambda sides: 0.95)[:2] == ([1.25, "refined"], True)
     assert tried(unsure(), lambda sides: 0.85)[:2] == ([1.25], False)
     assert not tried(unsure(), lambda sides: 0.95 if sides == [1.25] else 0.85)[1]
-    assert not tried(unsure(), lambda sides: 0.95, nose=(90.0, 120.0))[1]
     assert not len(unsure([BOX + 2.0]))           # a part of somebody
     queue = unsure()
     queue.give_up(None, 0.0, tried(queue, lambda sides: 0.1)[2].box)
@@ -140,6 +155,7 @@ def test_a_face_without_a_body_rests_twice_as_long_each_time_until_a_body_is_fou
 
     for pause in (0.5, 1.0, 2.0, 4.0, 8.0, 8.0):
         queue.give_up("f", stamp)
+        queue.offer_faces([], stamp)        # one image does not show it
         assert not is_tried(stamp + pause - 0.01) and is_tried(stamp + pause)
         stamp += pause
     queue.give_up("f", stamp)
@@ -147,6 +163,16 @@ def test_a_face_without_a_body_rests_twice_as_long_each_time_until_a_body_is_fou
     assert is_tried(stamp), "its body is lost at once: nothing is held against it"
     queue.give_up("f", stamp)
     assert not is_tried(stamp + 0.49) and is_tried(stamp + 0.5)
+
+
+def test_after_a_reset_nothing_rests_until_a_time_that_is_far_ahead():
+    queue = CandidateQueue()
+    queue.give_up("f", 100.0)
+    queue.give_up(None, 100.0, BOX)
+    queue.clear()                           # time went back
+    queue.offer_faces([FACE], 0.0)
+    queue.offer_boxes([], [], [], 0.0, unsure=[BOX])
+    assert len(queue) == 2
 
 
 def test_of_faces_that_were_tried_in_vain_and_are_gone_nothing_is_kept():
@@ -167,19 +193,37 @@ def test_a_box_without_a_body_has_one_window_for_a_while():
         assert len(tried(queue, lambda sides: 0.1)[0]) == windows
 
 
-def test_what_has_begun_goes_on_when_the_detector_finds_the_box_again():
+@pytest.mark.parametrize("score, attempt", [(0.1, 1), (0.7, 0)])
+def test_what_has_begun_goes_on_when_the_detector_finds_the_box_again(score, attempt):
     queue = offered([])
     candidate = queue.take()
-    candidate.judge(estimate(0.1), None, 0.5)
+    candidate.judge(estimate(score), None, 0.5)
     queue.put_back(candidate)
-    queue.offer_boxes([BOX + 5.0], [], [], 1.0)
-    assert queue.take().attempt == 1
+    queue.offer_boxes([AWAY, BOX + 5.0], [], [], 1.0)
+    waiting = [queue.take(), queue.take()]
+    begun = next(item for item in waiting if item.box is not AWAY)
+    assert begun.attempt == attempt
+    assert waiting[0] is begun or begun.first is None, "what was seen already is finished first"
+
+
+def test_what_waits_for_a_second_look_is_not_new_when_the_detector_finds_the_box_again():
+    """Else a thing beside people would be looked at again each time, and never rest."""
+    queue = offered([])
+    queue.put_last(replace(queue.take(), looked=True))
+    queue.offer_boxes([BOX + 5.0, AWAY], [], [], 1.0)
+    waiting = {item.box[0]: item.looked for item in (queue.take(), queue.take())}
+    assert waiting == {105.0: True, 400.0: False}
 
 
 @pytest.mark.parametrize("face, expected", [
     pytest.param((130, 110, 170, 160), True, id="of somebody who stands"),
     pytest.param((110, 190, 190, 300), True, id="of somebody near, cut by the rim, with hair above it"),
+    pytest.param((105, 150, 145, 200), True, id="of somebody who leans"),
     pytest.param((110, 260, 190, 340), False, id="of a child before somebody"),
+    pytest.param((210, 110, 250, 160), False, id="beside it"),
+    pytest.param((50, 110, 90, 160), False, id="beside it on the left"),
+    pytest.param((130, 40, 170, 90), False, id="above it"),
+    pytest.param((130, 410, 170, 460), False, id="below it"),
     pytest.param((170, 190, 199, 300), False, id="of a neighbour")])
 def test_a_face_is_that_of_the_box_where_the_head_of_the_box_is(face, expected):
     queue = CandidateQueue()

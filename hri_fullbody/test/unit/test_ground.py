@@ -7,6 +7,7 @@ import pytest
 from hri_fullbody.core.behaviour.posture import PostureClass
 from hri_fullbody.core.behaviour.recognizer import BehaviourRecognizer
 from hri_fullbody.core.localization.ground import GroundPlane, up_of
+from hri_pipeline.core.geometry import Pose
 
 SURE = np.ones(18)
 
@@ -36,6 +37,61 @@ def test_feet_of_several_people_and_an_outlier():
     ground.add("leaning", seen(people.standing().lean(40.0, whole=True), pitch), SURE, 0.0)
     ground.solve(0.0)
     assert np.degrees(np.arccos(ground.up @ up_of(pitch, 0.0))) < 5.0
+
+
+def off(ground, pitch):
+    """Degrees between the vertical that was learnt and that of a camera which looks down by `pitch` rad."""
+    return np.degrees(np.arccos(min(1.0, float(ground.up @ up_of(pitch, 0.0)))))
+
+
+@pytest.mark.parametrize("body, share", [(people.seated(), 0.35), (None, 0.55)], ids=["who sits", "a face alone"])
+def test_who_sits_and_a_face_tell_the_tilt_less_surely(body, share):
+    ground, pitch = GroundPlane(), np.radians(30.0)
+    before, face = off(ground, pitch), None
+    if body is None:
+        face = Pose(np.stack([(0.0, 0.0, -1.0), (1.0, 0.0, 0.0), up_of(pitch, 0.0)], axis=1), np.zeros(3))
+    ground.add("a", np.full((18, 3), np.nan) if body is None else seen(body, pitch), SURE, 0.0, face)
+    ground.solve(0.0)
+    assert off(ground, pitch) < share * before and ground.camera_height("x") is None
+
+
+@pytest.mark.parametrize("trunk", [-30.0, 30.0])
+def test_who_was_seen_to_stand_tells_the_vertical_when_sitting_down_with_a_bent_back(trunk):
+    ground, pitch = GroundPlane(), np.radians(10.0)
+    for index in range(40):
+        body = people.standing() if index < 20 else people.seated(trunk)
+        ground.add("a", seen(body, pitch), SURE, 0.1 * index)
+    ground.solve(4.0)
+    assert off(ground, pitch) < 1.0
+
+
+@pytest.mark.parametrize("lean", [-12.0, 12.0])
+def test_feet_at_several_distances_tell_the_tilt_where_all_lean(lean):
+    """As those do who walk up to a camera."""
+    pitch, errors = np.radians(30.0), []
+    for count in (1, 3):
+        ground = GroundPlane()
+        for number, (x, z) in enumerate([(-0.6, 2.0), (0.2, 4.0), (0.8, 7.0)][:count]):
+            ground.add(str(number), seen(people.standing().lean(lean, whole=True), pitch, place=(x, 0.3, z)), SURE, 0.0)
+        ground.solve(0.0)
+        errors.append(off(ground, pitch))
+    assert errors[1] < 0.6 * errors[0]
+
+
+@pytest.mark.parametrize("down", [-1.5, 4.0])
+def test_who_stands_on_a_stage_or_far_below_tells_no_height(down):
+    ground = GroundPlane()
+    ground.add("a", seen(people.standing(), place=(0.0, down, 6.0)), SURE, 0.0)
+    ground.solve(0.0)
+    assert ground.camera_height("x") is None
+
+
+def test_of_people_who_went_by_little_is_kept():
+    ground = GroundPlane()
+    for number in range(100):
+        ground.add("p%d" % number, seen(people.standing()), SURE, 2.0 * number)
+        ground.solve(2.0 * number)
+    assert max(len(known) for known in vars(ground).values() if isinstance(known, dict)) <= 30
 
 
 def test_guessed_legs_and_people_who_lie_say_nothing():

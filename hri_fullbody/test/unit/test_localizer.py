@@ -24,6 +24,7 @@ from hri_fullbody.core.localization.scale import BodyScale, depth_cue, face_cue,
 from hri_fullbody.core.tracking.track import BodyTrack
 from hri_pipeline.core.camera import Calibration, CameraModel
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.tracks import TrackLife
 
 CAMERA = CameraModel.from_fov(1280, 720, 1.05)
@@ -114,6 +115,13 @@ def test_the_standing_foot_on_the_floor_tells_size_and_distance(size, lifted):
     assert ratio == pytest.approx(size, rel=0.03)
 
 
+@pytest.mark.parametrize("around, size", [
+    (dict(up=UP), None), (dict(camera_height=1.1), None), (dict(up=UP, camera_height=0.3 + 1.1 * 0.82 + 0.07), 1.1)])
+def test_who_stands_on_a_floor_of_known_height_is_measured_by_it(around, size):
+    _, _, shape = observe(1.1, (0.2, 0.3, 3.5), frames=30, **around)
+    assert (shape.size is None) if size is None else (shape.size[0] == pytest.approx(size, rel=0.03))
+
+
 def test_feet_that_cannot_stand_on_the_floor_say_nothing():
     points = STANDING + (0.0, 0.0, 3.0)
     rays = points[:, :2] / points[:, 2:]
@@ -190,15 +198,25 @@ def test_without_a_single_depth_the_colour_image_places_the_body(depth):
     assert body.pose.translation[2] == pytest.approx(3.0, abs=0.1)
 
 
-def test_something_before_a_wrist_does_not_move_it():
+@pytest.mark.parametrize("elbow, wrist, held", [
+    (0.0, 0.2, True), (0.0, -0.2, True), (0.0, -1.5, False), (0.0, 0.3, False), (0.2, 0.2, True), (0.2, -0.2, False),
+    (0.0, np.nan, False)],
+    ids=["behind", "before", "something before it", "the wall", "both behind", "too far for the arm", "no depth"])
+def test_a_joint_is_where_its_surface_is_if_that_can_be_the_body_s(elbow, wrist, held):
+    """The arm may be stretched out otherwise than the network thinks."""
     points = STANDING + np.array([0.0, 0.0, 2.5])
     depth = depth_of(points)
     pixels = CAMERA.project(points)
-    x, y = pixels[15].astype(int)
-    depth[y - 10:y + 10, x - 10:x + 10] = 1.0
+    for joint, way, thick in ((13, elbow, 0.045), (15, wrist, 0.03)):
+        x, y = pixels[joint].astype(int)
+        depth[y - 10:y + 10, x - 10:x + 10] = points[joint, 2] + way - thick
     rays = points[:, :2] / points[:, 2:]
     found = measured_joints(depth, pixels, rays, points, np.ones(33), (1280, 720))
-    assert found[15] == pytest.approx(points[15], abs=1e-6)
+    assert found[13, 2] == pytest.approx(points[13, 2] + elbow, abs=1e-3)
+    assert found[15, 2] == pytest.approx(points[15, 2] + (wrist if held else 0.0), abs=1e-3)
+    assert found[15, :2] / found[15, 2] == pytest.approx(rays[15])
+    unseen = measured_joints(depth, pixels, rays, points, np.zeros(33), (1280, 720))
+    assert unseen == pytest.approx(points), "of what is not seen the pixel tells nothing"
 
 
 @pytest.mark.parametrize("hidden, ratio", [
@@ -307,6 +325,37 @@ def test_a_body_without_an_inference_is_moved_on_as_a_whole():
     assert np.isnan(guessed.hands[1]).all() and np.isfinite(guessed.hands[0]).all()
 
 
+def test_the_key_points_of_who_comes_nearer_keep_up():
+    """The filter's unit stays that of the first image: else what it has kept would be of another size."""
+    shape, track, behind = BodyLocalizer(), None, []
+    for index in range(20):
+        away = 4.0 - 0.1 * index
+        _, estimate = human(1.0, np.array([0.5 * away, 0.3, away]))
+        detection = PoseDetection(estimate, None)
+        track = track or BodyTrack("b", detection, 0.0, TrackLife(0.0, 0.0, 1.0))
+        track.update(detection, 0.1 * index, False)
+        seen = shape.observe(track, CAMERA, 0.1 * index, None, SceneContext())
+        behind.append(abs(seen.keypoints[0, 0] - estimate.landmarks[0, 0]))
+    assert max(behind) < 3.0
+
+
+def test_a_body_between_two_looks_is_turned_with_the_images():
+    points, estimate = human(1.0, WHOLE)
+    track = BodyTrack("b", PoseDetection(estimate, points), 0.0, TrackLife(0.0, 0.0, 1.0))
+    shape, turn = BodyLocalizer(), ImageRotation(1, 1280, 720)
+    face = Pose(np.eye(3), points[[1, 4]].mean(axis=0))
+    shape.observe(track, CAMERA, 0.0, face, SceneContext())
+    face = Pose(np.eye(3), face.translation + (0.03, 0.02, -0.04))
+    before = shape.observe(track, CAMERA, 0.1, face, SceneContext())
+    track.turn(turn)
+    shape.turn(turn)
+    after = shape.observe(track, CameraModel.from_fov(720, 1280, 1.05), 0.1, turn.pose(face), SceneContext())
+    assert not after.measured
+    assert after.keypoints[:, :2] == pytest.approx(turn.pixels(before.keypoints[:, :2]))
+    assert after.keypoints_3d == pytest.approx(turn.vectors(before.keypoints_3d), nan_ok=True)
+    BodyLocalizer().turn(turn)      # one that has seen nothing yet
+
+
 def test_key_points_in_space_are_not_filtered():
     shape = BodyLocalizer()
     _, estimate = human(1.0, np.array([0.0, 0.0, 3.0]))
@@ -361,6 +410,21 @@ def test_noise_and_wrong_points_move_the_body_little():
         assert np.linalg.norm((hips - true_hips)[:2]) < 0.12
 
 
+def test_a_hand_that_is_taken_for_another_one_moves_no_body():
+    points, world = truth((0.4, 0.0, 3.0), 30.0)
+    pixels = CAMERA.project(points)
+    pixels[[15, 17, 19, 21]] += (150.0, -90.0)
+    placed = solve_pnp(CAMERA.normalise(pixels), world, ALL)
+    assert np.abs(placed - points).max() < 0.02
+
+
+@pytest.mark.parametrize("ray", [(0.0, 0.0), (0.3, -0.2), (-0.6, 0.0)])
+def test_the_optical_axis_is_turned_to_the_ray_and_not_about_it(ray):
+    turn, direction = rotation_to_ray(np.array(ray)), np.array([*ray, 1.0])
+    assert turn[:, 2] == pytest.approx(direction / np.linalg.norm(direction))
+    assert np.trace(turn) == pytest.approx(1.0 + 2.0 * turn[2, 2]), "no larger than it has to be"
+
+
 def test_too_few_points_and_impossible_depths_give_nothing():
     points, world = truth((0.0, 0.0, 3.0), 0.0)
     rays = CAMERA.normalise(CAMERA.project(points))
@@ -383,7 +447,18 @@ def test_body_frame_looks_forward_with_z_to_the_head():
     # In the optical frame a person who faces the camera looks along -z, has the head at -y and the left at +x.
     assert pose.rotation == pytest.approx(np.array([[0, 1, 0], [0, 0, -1], [-1, 0, 0]]), abs=0.02)
     assert np.linalg.det(pose.rotation) == pytest.approx(1.0)
-    assert body_pose(np.zeros((33, 3))) is None
+
+
+@pytest.mark.parametrize("shoulders, hips", [
+    (((0.2, 0.0, 3.0), (-0.2, 0.0, 3.0)), ((0.1, 0.0, 3.0), (-0.1, 0.0, 3.0))),
+    (((0.0, -0.4, 3.0), (0.0, -0.6, 3.0)), ((0.0, 0.1, 3.0), (0.0, 0.0, 3.0))),
+    (((0.2, np.nan, 3.0), (-0.2, -0.5, 3.0)), ((0.1, 0.0, 3.0), (-0.1, 0.0, 3.0))),
+    (((0.2, np.inf, 3.0), (-0.2, -0.5, 3.0)), ((0.1, 0.0, 3.0), (-0.1, 0.0, 3.0)))],
+    ids=["folded", "in one line", "nan", "inf"])
+def test_shoulders_and_hips_that_span_no_frame_give_none(shoulders, hips):
+    points = np.zeros((33, 3))
+    points[[11, 12]], points[[23, 24]] = shoulders, hips
+    assert body_pose(points) is None
 
 
 class Person:
@@ -463,6 +538,13 @@ def test_a_cut_body_is_followed_slowly_and_nearer_at_once():
     assert known.is_right(3.0, 0.0, False, True)
     assert all(known.is_right(3.0 + 0.03 * step, 0.1 * step, True, False) for step in range(1, 30))
     assert known.is_right(2.0, 3.0, True, False)
+
+
+@pytest.mark.parametrize("sure", [True, False])
+def test_of_who_came_in_cut_the_range_is_known_once_a_face_or_a_depth_image_has_told_it(sure):
+    known = CutRange()
+    assert known.is_right(3.0, 0.0, True, sure)
+    assert known.is_right(3.9, 0.1, True, False) is not sure
 
 
 def test_a_new_range_is_right_in_the_end():

@@ -60,13 +60,28 @@ def test_other_clothes_too_far_or_too_late_are_somebody_else():
         assert told(after(body("a", 1)), begin, begin + 3.0, new) == []
 
 
-@pytest.mark.parametrize("more, is_told", [
-    (dict(noise=1.2), True), (dict(noise=1.5), False), (dict(noise=1.5, face="new"), False),
-    (dict(stature=1.75, stature_sd=0.03), True), (dict(stature=1.72, stature_sd=0.03), False)],
-    ids=["clothes alike", "clothes", "clothes, a face that nobody had", "stature alike", "stature"])
-def test_what_differs_too_much_is_of_somebody_else_however_well_all_else_fits(more, is_told):
-    known = after(body("a", 1, face="old", stature=1.80, stature_sd=0.03))
+@pytest.mark.parametrize("face, more, is_told", [
+    ("old", dict(noise=1.2), True), ("old", dict(noise=1.5), False), (None, dict(noise=1.5), False),
+    ("old", dict(noise=1.5, face="new"), False), ("old", dict(noise=1.5, face="old"), True),
+    ("old", dict(face="new"), True),
+    ("old", dict(stature=1.75, stature_sd=0.03), True), ("old", dict(stature=1.72, stature_sd=0.03), False)],
+    ids=["clothes alike", "clothes", "clothes, no faces", "clothes, a face that nobody had", "clothes, the same face",
+         "a face that nobody had", "stature alike", "stature"])
+def test_what_differs_too_much_is_of_somebody_else_however_well_all_else_fits(face, more, is_told):
+    known = after(body("a", 1, face=face, stature=1.80, stature_sd=0.03))
     assert told(known, 20.2, 23.0, body("b", 1, **more)) == [("b", "a")] * is_told
+
+
+@pytest.mark.parametrize("x, is_told", [(1.0, True), (2.3, False)])
+def test_nobody_is_somewhere_else_faster_than_people_run_whatever_the_face(x, is_told):
+    assert told(after(body("a", 1, face="f")), 20.2, 23.0, body("b", 1, x, face="f")) == [("b", "a")] * is_told
+
+
+def test_who_comes_out_while_the_body_is_still_waited_for_where_it_vanished_is_known_once_that_is_given_up():
+    known, hidden = BodyReidentifier(10.0), body("a", 1, visible=False)
+    show(known, 0.0, 20.0, body("a", 1))
+    assert told(known, 20.0, 21.5, hidden) == told(known, 21.5, 22.0, hidden, body("b", 1)) == []
+    assert told(known, 22.0, 24.0, body("b", 1)) == [("b", "a")]
 
 
 @pytest.mark.parametrize("x, is_told", [(0.2, [("b", "a")]), (5.0, [])])
@@ -81,6 +96,27 @@ def test_without_a_place_of_both_the_clothes_tell(placed):
     old, new = (body(name, 1, 5.0 * (name == "b")) for name in "ab")
     old, new = (one if one.id == placed else one._replace(place=None) for one in (old, new))
     assert told(after(old), 20.2, 23.0, new) == [("b", "a")]
+
+
+@pytest.mark.parametrize("shown, hides, new, is_told", [
+    (dict(face="f"), dict(face=None), dict(noise=1.5, face="f"), True),
+    (dict(stature=1.80, stature_sd=0.03), {}, dict(stature=1.62, stature_sd=0.03), False),
+    ({}, dict(appearance=None), {}, True),
+    ({}, dict(place=None), dict(x=5.0), False),
+    (dict(x=5.0), {}, dict(x=5.0), True)], ids=["face", "stature", "clothes", "place", "another place"])
+def test_what_a_body_has_shown_last_is_known_of_it_when_it_is_lost(shown, hides, new, is_told):
+    known = BodyReidentifier(10.0)
+    show(known, 0.0, 10.0, body("a", 1))
+    show(known, 10.0, 19.0, body("a", 1, **shown))
+    show(known, 19.0, 20.0, body("a", 1, shown.get("x", 0.0))._replace(**hides))
+    assert told(known, 20.0, 23.0, body("b", 1, **new)) == [("b", "a")] * is_told
+
+
+def test_who_was_there_for_a_moment_only_is_not_remembered():
+    known, other = BodyReidentifier(10.0), body("x", 9)
+    show(known, 0.0, 20.0, other)
+    show(known, 20.0, 20.5, other, body("a", 1))
+    assert told(known, 20.5, 23.0, other, body("b", 1)) == []
 
 
 def test_two_who_were_seen_at_once_are_two():

@@ -140,6 +140,80 @@ def test_who_was_seen_for_a_second_is_waited_for_behind_others(last_seen, waited
     assert track.waits(last_seen + 0.2) is waited_for
 
 
+def seen_at(x, speed=0.0, **more):
+    """A body that has come to x px at a speed (px/s), seen ten times a second from 0 to 1.5 s."""
+    estimates = [standing_at(x - speed * (1.5 - 0.1 * number), 400) for number in range(16)]
+    track = BodyTrack("b", PoseDetection(estimates[0]), 0.0, TrackLife(0.0, 0.1, 1.0), **more)
+    for number in range(1, 16):
+        track.update(PoseDetection(estimates[number]), 0.1 * number, True)
+    return track
+
+
+@pytest.mark.parametrize("x, speed, known, blank, left, hidden", [
+    (600, 0.0, {}, False, False, False), (600, 0.0, dict(box_confirmed=True), False, False, True),
+    (600, 0.0, dict(face=face_at(600)), False, False, True),
+    (600, 0.0, dict(box_confirmed=False), False, False, False),
+    (80, 0.0, dict(box_confirmed=True), False, False, False),
+    (80, -150.0, dict(box_confirmed=True), False, True, False),
+    (1195, 100.0, dict(box_confirmed=True), False, True, False),
+    (120, -500.0, dict(box_confirmed=True), False, True, False),
+    (1160, 500.0, dict(box_confirmed=True), False, True, False),
+    (80, -150.0, dict(box_confirmed=True), True, False, True)],
+    ids=["nobody but the network saw it", "a person's box", "a face", "no box", "stands at the left",
+         "goes out at the left", "goes out at the right", "fast to the left", "fast to the right", "no light"])
+def test_who_is_missed_at_a_side_has_left_and_who_was_known_is_hidden_elsewhere(x, speed, known, blank, left, hidden):
+    track = seen_at(x, speed, **known)
+    track.missed(1.7)
+    track.judge_hidden(1.7, 1280, blank)
+    assert (track.left, track.hidden, track.waits(1.7)) == (left, hidden, hidden)
+    track.cut_off(1.8)
+    track.judge_hidden(1.8, 1280, blank)
+    assert not track.hidden and not track.waits(1.8), "what the picture before showed is not behind this one"
+
+
+@pytest.mark.parametrize("known, misses, lives_s", [
+    ({}, 1, 100.0), ({}, 2, 1.0), (dict(box_confirmed=True), 1, 100.0), (dict(box_confirmed=True), 2, 3.0)],
+    ids=["missed once", "gone", "hidden, missed once", "hidden"])
+def test_who_is_missed_twice_is_dead_after_the_death_time_and_who_is_hidden_after_three_times_that(
+        known, misses, lives_s):
+    track = seen_at(600, **known)
+    for _ in range(misses):
+        track.missed(1.7)
+    track.judge_hidden(1.7, 1280)
+    assert [track.dead(1.5 + age) for age in (0.99 * lives_s, 1.01 * lives_s)] == [False, lives_s < 100.0]
+
+
+def test_a_hidden_body_is_looked_for_where_it_goes_and_where_it_vanished_by_turns():
+    track, places = walking(), []
+    for stamp in (1.2, 1.3, 1.4):
+        track.missed(stamp)
+        places.append(track.window(None, 1.5).centre[0] - track.estimate.next_window().centre[0])
+    assert places == pytest.approx([0.0, 43.0, 0.0], abs=5.0)
+
+
+def test_a_face_that_is_gone_is_kept_for_half_a_second():
+    """For ever, the body would count as one with a face, and nobody would doubt it."""
+    track = walking()
+    for stamp, kept in ((1.5, True), (1.6, False)):
+        track.forget_lost_face(stamp)
+        assert (track.face_id == "f") is kept and track.had_face_at(face_at(600, "new"), stamp) is kept
+    track.forget_lost_face(1.7)
+    assert not walking().had_face_at(face_at(640, "new"), 1.2), "somewhere else"
+    assert not walking().had_face_at(face_at(600, "new"), 1.6), "too late"
+
+
+def test_while_somebody_may_stand_before_a_body_its_clothes_are_not_learnt_and_its_place_little():
+    red, blue = (describe(picture(colour), standing_at(300, 400)) for colour in ((30, 30, 220), (220, 60, 30)))
+    changed, moved = [], []
+    for unhidden in (True, False):
+        track = walking()
+        track.appearance, before = red, track.motion.predicted_centre(1.1)[0]
+        track.update(PoseDetection(standing_at(660, 400), appearance=blue), 1.1, unhidden)
+        changed.append(difference(track.appearance, red))
+        moved.append(track.motion.predicted_centre(1.1)[0] - before)
+    assert changed[0] > 0.01 and changed[1] == pytest.approx(0.0, abs=1e-6) and moved[0] > 3.0 * moved[1] > 0.0
+
+
 def picture(colour):
     image = np.full((720, 1280, 3), 128, np.uint8)
     image[250:650, 200:400] = colour

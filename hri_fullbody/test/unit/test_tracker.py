@@ -6,6 +6,7 @@ import pytest
 from synthetic_people import Scene, face_of, standing_at
 
 from hri_fullbody.core.tracking.tracker import BodyTracker
+from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.ignored_regions import IgnoredRegions
 from hri_pipeline.core.scheduler import InferenceScheduler
 
@@ -349,6 +350,99 @@ def test_a_captured_body_is_sought_again_below_its_face():
     assert track.estimate.nose[0] == pytest.approx(200.0)
 
 
+def test_who_is_lost_is_found_again_below_the_own_face_in_one_window_an_image():
+    scene = Scene([(300, 400)])
+    tracker = make(scene, max_retries=0)
+    stamp = run(tracker, 0.0, 6, faces=[face_of(standing_at(300, 400), "f0")])
+    scene.people, face = [], face_of(standing_at(900, 400), "f0")       # the face goes on behind a desk
+    for _ in range(4):
+        tracker.follow(IMAGE, stamp, [face])
+        assert tracker.windows == 1 and not tracker.tracks[0].visible
+        stamp += STEP
+    scene.people = [(900, 400)]
+    run(tracker, stamp, 2, faces=[face])
+    assert [(track.id, track.visible) for track in tracker.tracks] == [("b0", True)]
+    assert tracker.tracks[0].estimate.nose[0] == pytest.approx(900.0)
+
+
+class Squeezed(Scene):
+    """Like the network: in a large window it sees the neighbour, in a smaller one the person in the middle."""
+
+    def estimate(self, image, window, hidden=(), shown=None, mirrored=False):
+        self.favourite = 1 if window.size > 210.0 else None
+        return super().estimate(image, window, hidden, shown, mirrored)
+
+
+def test_a_window_below_the_own_face_that_shows_a_neighbour_is_not_the_last_one_that_is_tried():
+    scene = Squeezed([(300, 400)])
+    tracker = make(scene)
+    stamp = run(tracker, 0.0, 4, faces=[face_of(standing_at(300, 400), "f0")])
+    scene.people.append((420, 400))
+    run(tracker, stamp, 3, faces=[face_of(standing_at(300, 400), "f0")])
+    track = next(track for track in tracker.tracks if track.face_id == "f0")
+    assert track.id == "b0" and track.visible and track.estimate.nose[0] == pytest.approx(300.0)
+
+
+def test_who_comes_is_looked_at_before_all_who_are_known():
+    """People who are followed take none of the few windows for new ones, whoever names them again."""
+    people = [(100 + 160 * index, 400) for index in range(6)]
+    scene = Scene(people)
+    tracker = make(scene)
+    faces = [face_of(standing_at(*place), "f{}".format(index)) for index, place in enumerate(people)]
+    stamp = run(tracker, 0.0, 8, faces=faces, boxes=[box_of(*place) for place in people])
+    assert len(tracker.tracks) == 6
+    tracker.follow(IMAGE, stamp, faces)
+    tracker.try_new(IMAGE, stamp, faces, 4)
+    assert tracker.windows == 6, "one each"
+    scene.people = [*people, (1100, 400)]
+    boxes = [box_of(*place) for place in scene.people]
+    tracker.propose(boxes, [], stamp, boxes)
+    for _ in range(2):
+        tracker.try_new(IMAGE, stamp, [], 1)
+    assert len(tracker.tracks) == 7
+
+
+def test_a_screen_on_which_something_moves_keeps_nobody_beside_it_from_being_found_in_slow_images():
+    """Its box comes first, and each time the second look sees no human."""
+    tracker = make(Scene([(400, 400), (560, 400)]), is_human=lambda image, box: box[0] > 450)
+    boxes = [box_of(400, 400), box_of(560, 400)]
+    for second in range(4):
+        image = NOISE.copy()
+        image[200:700, 330:470] = 60 * second
+        tracker.follow(image, float(second))
+        tracker.propose(boxes, [], float(second))
+        tracker.try_new(image, float(second), [], 2)
+    assert 560.0 in [track.estimate.centre[0] for track in tracker.tracks]
+
+
+def test_an_image_that_comes_twice_is_looked_at_once():
+    scene = Scene([(600, 400)])
+    tracker = make(scene)
+    stamp = run(tracker, 0.0, 10, boxes=[box_of(600, 400)])
+    scene.people = []
+    for _ in range(5):
+        tracker.follow(IMAGE, stamp)
+    assert tracker.tracks[0].misses == 1
+
+
+def test_what_waits_for_a_look_waits_while_the_image_is_black():
+    scene = Scene([(600, 400), (900, 400)])
+    tracker = make(scene)
+    face = face_of(standing_at(900, 400), "f1")
+    stamp = run(tracker, 0.0, 3, boxes=[box_of(600, 400)], image=NOISE)
+    tracker.tracks[0].box_confirmed = None              # the detector has not been asked yet
+    tracker.propose([box_of(600, 400), box_of(900, 400)], [], stamp - STEP, [])
+    tracker.tracks[0].box_confirmed = None
+    for _ in range(3):
+        tracker.follow(IMAGE, stamp, [face])
+        tracker.propose([], [face], stamp)
+        tracker.try_new(IMAGE, stamp, [face], 4)
+        assert tracker.windows == 0 and tracker.awaits_detector
+        stamp += STEP
+    run(tracker, stamp, 3, boxes=[box_of(600, 400), box_of(900, 400)], image=NOISE)
+    assert sorted(track.estimate.centre[0] for track in tracker.tracks if track.visible) == pytest.approx([600, 900])
+
+
 def test_no_more_bodies_than_allowed():
     people = [(150 + 200 * index, 400) for index in range(5)]
     tracker = make(Scene(people), max_bodies=3)
@@ -395,12 +489,14 @@ def test_all_that_are_due_go_into_one_batch_where_that_is_faster(fails):
     people = [(200, 400), (600, 400), (1000, 400)]
     alone, together = Scene(people), Batches(people)
     together.fails = fails
-    trackers = [make(scene) for scene in (alone, together)]
+    guards = [ItemGuard(), ItemGuard()]
+    trackers = [make(scene, guard=guard) for scene, guard in zip((alone, together), guards)]
     for tracker in trackers:
         run(tracker, 0.0, 12, boxes=[box_of(*place) for place in people])
     places = [sorted((track.id, tuple(track.estimate.centre)) for track in tracker.tracks) for tracker in trackers]
     assert places[0] == places[1] and len(places[0]) == 3
     assert together.sizes[-1] == 3, "one run for all"
+    assert guards[0].errors == 0 and (guards[1].errors > 0) == fails
 
 
 def test_a_face_under_a_new_id_stays_with_the_body_whose_face_was_there():

@@ -77,7 +77,7 @@ class GroundPlane:
         stamp : s. face : pose of the own face in the optical frame, x out of the face, z to the scalp.
         """
         person = self._people.setdefault(body_id, _Person(stamp))
-        weight = 1.0 if not person.axes else 1.0 - math.exp(-max(stamp - person.stamp, 0.0) / _LEARN_S)
+        weight = 1.0 - math.exp(-max(stamp - person.stamp, 0.0) / _LEARN_S)
         person.stamp = stamp
         line, foot = _standing(points, confidence)
         if line is not None and -line[1] <= _UPRIGHT_BODY:

@@ -156,7 +156,7 @@ def _axes(up: np.ndarray, left: np.ndarray) -> Optional[np.ndarray]:
     up = up / length
     left = left - up * float(up @ left)
     length = float(np.linalg.norm(left))
-    if not np.isfinite(length) or length < 1e-6:
+    if length < 1e-6:
         return None
     left = left / length
     forward = left[_NEXT] * up[_LAST] - left[_LAST] * up[_NEXT]     # numpy.cross takes 0.03 ms

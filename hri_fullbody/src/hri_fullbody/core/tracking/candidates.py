@@ -67,10 +67,6 @@ class BodyCandidate:
     attempt: int = 0
     first: Optional[PoseEstimate] = field(default=None, repr=False)
 
-    def side(self) -> Optional[float]:
-        """Side of the face's window of this attempt in face sizes; None for a person's box."""
-        return FACE_WINDOW_SIZES[self.attempt] if self.face_id is not None else None
-
     def window(self, face: Optional[FaceBox]) -> Window:
         """The window to try now."""
         if self.first is not None:
@@ -92,7 +88,7 @@ class BodyCandidate:
         elif fits and is_sound(estimate, min_score) and self._is_whole(estimate, face):
             return WindowResult(found=estimate)
         elif face is not None and is_sound(self.first, min_score) and self._is_whole(self.first, face):
-            return WindowResult(found=self.first, anchor=self.side())
+            return WindowResult(found=self.first, anchor=FACE_WINDOW_SIZES[self.attempt])
         self.first = None
         self.attempt += 1
         windows = len(FACE_WINDOW_SIZES) if self.face_id is not None else len(PERSON_BOX_WINDOWS) if (
@@ -144,7 +140,7 @@ class CandidateQueue:
 
         others: boxes (4,) px of all people in the image, those of `boxes` included. unsure: boxes that may be nobody's.
         """
-        begun = [item for item in self._queue if item.box is not None and (item.first is not None or item.attempt)]
+        waiting = [(item, item.box) for item in self._queue if item.box is not None]
         self._queue = deque(item for item in self._queue if item.face_id is not None)
         failed = [box for box, until in self._failed if stamp < until]
         offered = []
@@ -153,16 +149,17 @@ class CandidateQueue:
         for number, box in enumerate(np.asarray(box) for box in (*boxes, *maybe)):
             if any(face_at_top(face, box) for face in faces):
                 continue
-            known = _at(box, [item.box for item in begun if item.box is not None])
+            known = _at(box, [place for _, place in waiting])
             doubtful = number >= len(boxes)
             alone = doubtful or (_at(box, failed) is None and all(
                 max(inside(box, other), inside(other, box)) < _APART for other in others if other is not box))
             group = [other for other in (*others, *unsure) if beside(box, other)]
             accompanied = any(face_at_top(face, other) for other in group for face in faces)
-            offered.append(replace(BodyCandidate() if known is None else begun[known], box=box, alone=alone,
+            offered.append(replace(BodyCandidate() if known is None else waiting[known][0], box=box, alone=alone,
                                    unsure=doubtful, in_group=bool(group), accompanied=accompanied))
-        # In slow images there may be one inference between two calls of the detector: what has begun is finished.
-        self._queue.extend(sorted(offered, key=lambda item: (item.unsure, item.first is None)))
+        # In slow images there may be one inference between two calls of the detector: what has begun is finished, and
+        # what was looked at in vain lets the others go first.
+        self._queue.extend(sorted(offered, key=lambda item: (item.unsure, item.first is None, item.looked)))
 
     def take(self) -> Optional[BodyCandidate]:
         """Return the next candidate, None when there is none."""
