@@ -150,7 +150,8 @@ class SoundLevel:
 
     def _find_offset(self) -> None:
         last = list(self._pieces)[-_OFFSET_PIECES:]
-        if len(last) < _FIRST_PIECES:
+        newest = last[-1].sums / last[-1].count if last else self._offset
+        if len(last) < _FIRST_PIECES or (np.abs(newest - self._offset) < _LEAST_OFFSET).all():
             return
         found = np.median([piece.sums / piece.count for piece in last], axis=0)
         found[np.abs(found) < _LEAST_OFFSET] = 0.0
