@@ -309,11 +309,11 @@ class SoundLevel:
 
     def _noisy(self, pieces: List[_Piece]) -> Tuple[int, ...]:
         """Return the index of the channel that hears noise of its own only, louder than most."""
-        alike, covariance = self._correlation(pieces), self._covariance(pieces)
-        if alike is None or covariance is None or self._channels < 3:
+        correlation, covariance = self._correlation(pieces), self._covariance(pieces)
+        if correlation is None or covariance is None or self._channels < 3:
             return ()
         power = covariance.diagonal()
-        alike = np.abs(alike) - np.eye(self._channels)
+        alike = np.abs(correlation) - np.eye(self._channels)
         index = int(np.argmin(alike.max(axis=0)))
         others = np.delete(np.delete(alike, index, 0), index, 1)
         is_noise = alike[index].max() < _UNLIKE and power[index] > np.median(power) > _LEAST_POWER
