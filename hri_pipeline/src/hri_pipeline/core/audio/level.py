@@ -217,6 +217,21 @@ class SoundLevel:
                                                                       for piece in pieces))
         if constant:
             return "{} dead: one and the same value; check the microphone".format(self._named(constant))
+        channels = self._wrong_channels(pieces)
+        if channels:
+            return channels
+        count = sum(piece.count for piece in pieces)
+        offset = np.abs(np.sum([piece.sums for piece in pieces], axis=0)) if pieces else np.zeros(1)
+        if count and float(offset.max()) / count > _OFFSET:
+            return (
+                "the sound has an offset of {:.0f} % of full scale; are ~sample_format and the AudioInfo right?".format(
+                    100.0 * float(offset.max()) / count
+                )
+            )
+        return ""
+
+    def _wrong_channels(self, pieces: List[_Piece]) -> str:
+        """Return which channels do not go with the others, empty where all do."""
         inverted = self._inverted(pieces)
         if inverted:
             return "{} inverted: {}; correct the wiring, or the plug of a balanced microphone".format(
@@ -233,14 +248,6 @@ class SoundLevel:
         if copies and self._is_array:
             return "{} copies of each other: no directions from them; correct ~microphone_channels".format(
                 self._named(copies))
-        count = sum(piece.count for piece in pieces)
-        offset = np.abs(np.sum([piece.sums for piece in pieces], axis=0)) if pieces else np.zeros(1)
-        if count and float(offset.max()) / count > _OFFSET:
-            return (
-                "the sound has an offset of {:.0f} % of full scale; are ~sample_format and the AudioInfo right?".format(
-                    100.0 * float(offset.max()) / count
-                )
-            )
         return ""
 
     def _named(self, channels: Sequence[int]) -> str:
