@@ -84,6 +84,20 @@ class VoicesArrayTest(unittest.TestCase):
                              for status in message.status), LIMIT, "the mend")
         self.assertEqual(self.transforms, [])
 
+    def test_with_a_silent_microphone_the_others_tell_the_direction(self):
+        """Its own noise was somebody at 150 degrees on the other side."""
+        azimuth = math.radians(60.0)
+        sound = from_direction(POSITIONS, np.concatenate([noise(4.0, 0.01), speech()]), azimuth)
+        sound[:, 2] = np.random.default_rng(4).normal(0.0, 1e-4, len(sound))
+        self.microphone.play(sound)
+        wait_for(lambda: any("channel 2 of 4 is silent" in status.message for message in list(self.states)
+                             for status in message.status), LIMIT, "the warning")
+        wait_for(lambda: len(self.transforms) > 20, LIMIT, "frames of the voice")
+        wait_for(lambda: not self.lists[-1].ids, LIMIT, "it is let go")
+        places = np.array([(one.transform.translation.x, one.transform.translation.y) for one in self.transforms])
+        azimuths = np.degrees(np.arctan2(places[:, 1], places[:, 0]))
+        self.assertLess(np.abs(azimuths - 60.0).max(), 10.0, azimuths)
+
 
 if __name__ == "__main__":
     rospy.init_node("voices_array_test")

@@ -64,6 +64,14 @@ class VoicesTest(VoicesCase):
         self.microphone.play(speech())
         self.assertNotEqual(self.hear_somebody(), identity)
 
+    def test_long_messages_are_no_silence_between_them(self):
+        self.microphone.play(speech(), chunk=1.2)
+        identity = self.hear_somebody()
+        wait_for(lambda: self.voices[identity]["speech"]
+                 and self.voices[identity]["speech"][-1].data == "go forward ten meters", LIMIT, "the whole sentence")
+        wait_for(lambda: not self.tracked(), LIMIT, "it is let go")
+        self.assertEqual(list(self.voices), [identity], "one sentence is one voice")
+
     def test_another_format_begins_anew(self):
         self.microphone.say_format(2, 48000)
         sound = np.repeat(np.repeat(speech(), 3)[:, None], 2, axis=1)      # as good as 48 kHz for this

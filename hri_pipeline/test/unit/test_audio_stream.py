@@ -390,6 +390,74 @@ def test_a_microphone_of_an_array_that_is_silent_copied_or_clipped_is_named(chan
     assert re.search(words, problem), problem
 
 
+def broken_at_the_end(sound):
+    stream = SoundStream(SoundFormat(sound.shape[1]), is_array=True)
+    return deliver(stream, sound)[-1].broken
+
+
+@pytest.mark.parametrize("change, broken, words", [
+    (lambda sound, own: sound, (), "^$"), (lambda sound, own: sound * [1, 1, 0, 1], (2,), "channel 2 of 4 is dead"),
+    (lambda sound, own: sound * [0, 1, 0.01, 1], (0, 2), "channel 0 of 4 is dead"),
+    (lambda sound, own: np.where([False, True, False, False], own, sound), (1,), "channel 1 of 4 is noisy: .*others"),
+    (lambda sound, own: np.where([False, True, False, False], 0.3 * own, sound), (), "^$"),
+    (lambda sound, own: own, (), "^$"), (lambda sound, own: 0.0 * sound, (), "dead silence"),
+    (lambda sound, own: sound * [1, 1, -1, 1], (), "channel 2 of 4 is inverted: directions are wrong")])
+def test_microphones_of_an_array_that_hear_nothing_are_told_with_each_block(change, broken, words):
+    random = np.random.default_rng(8)
+    sound = random.normal(0.0, 0.05, (4 * RATE, 1)) + random.normal(0.0, 0.02, (4 * RATE, 4))
+    sound = change(sound, random.normal(0.0, 0.08, (4 * RATE, 4)))
+    assert broken_at_the_end(sound) == broken
+    assert re.search(words, problem_of(sound, is_array=True))
+
+
+def test_a_loose_contact_is_broken_until_it_has_held_for_10_s():
+    random = np.random.default_rng(9)
+    sound = random.normal(0.0, 0.05, (16 * RATE, 1)) + random.normal(0.0, 0.02, (16 * RATE, 4))
+    sound[:3 * RATE, 1] = 0.0
+    assert broken_at_the_end(sound[:12 * RATE]) == (1,) and broken_at_the_end(sound) == ()
+
+
+def heard(sound, **options):
+    """Return the mean over channels that comes out in the last two of three seconds, and what the stream complains
+    of."""
+    stream = SoundStream(SoundFormat(sound.shape[1]), **options)
+    found = np.concatenate([block.samples for block in deliver(stream, sound)])
+    return found.mean(axis=1)[RATE:], stream.problem()
+
+
+@pytest.mark.parametrize("signs", [(1, -1), (-1, 1, 1), (1, -1, -1, 1)])
+def test_channels_that_would_cancel_each_other_are_mixed_in_phase_and_told(signs):
+    random = np.random.default_rng(2)
+    one = random.normal(0.0, 0.1, (3 * RATE, 1))
+    mixed, problem = heard(one * signs + random.normal(0.0, 1e-3, (3 * RATE, len(signs))))
+    assert np.abs(np.corrcoef(mixed, one[RATE:RATE + len(mixed), 0])[0, 1]) > 0.99
+    assert np.std(mixed) == pytest.approx(0.1, rel=0.02)
+    assert re.search(r"channels? [\d, ]+ of {} (is|are) inverted.*wiring".format(len(signs)), problem), problem
+
+
+def test_a_hum_against_the_phase_turns_no_speech_over():
+    random = np.random.default_rng(3)
+    hum = 0.3 * np.sin(2.0 * np.pi * 50.0 * np.arange(3 * RATE) / RATE)[:, None]
+    speech = random.normal(0.0, 0.1, (3 * RATE, 1))
+    mixed, problem = heard(speech + hum * [1, -1])
+    np.testing.assert_allclose(mixed, speech[RATE:RATE + len(mixed), 0], atol=1e-3)
+    assert problem == ""
+
+
+@pytest.mark.parametrize("channels", [1, 2])
+def test_an_offset_is_taken_from_the_sound(channels):
+    one = np.random.default_rng(6).normal(0.0, 0.01, (3 * RATE, channels))
+    mixed, _ = heard(one + np.linspace(0.1, 0.2, channels))
+    assert abs(mixed.mean()) < 1e-3 and np.std(mixed) == pytest.approx(one.mean(axis=1).std(), rel=0.02)
+
+
+def test_sound_without_an_offset_is_handed_on_as_it_is_and_a_bang_is_no_offset():
+    one = np.rint(np.random.default_rng(7).normal(0.0, 1000.0, (3 * RATE, 1))) / 32768.0
+    one[RATE:RATE + RATE // 4] += 0.25
+    mixed, _ = heard(one)
+    np.testing.assert_array_equal(mixed, one[RATE:RATE + len(mixed), 0].astype(np.float32))
+
+
 def test_a_copied_channel_is_no_problem_where_there_is_no_array():
     assert problem_of(np.repeat(six_channels()[:, :1], 2, axis=1)) == ""
 

@@ -376,6 +376,16 @@ def test_who_speaks_in_front_of_background_talk_is_not_taken_for_it(above, is_ba
     assert activity.noise.is_babble == is_babble
 
 
+def test_one_speaker_in_a_hum_as_loud_as_speech_is_no_background():
+    """At low frequencies there is hardly anything but the hum; speech is told by the high ones."""
+    activity = SpeechActivity(settings())
+    for index in range(int(20.0 / FRAME)):
+        is_speech = index % 60 < 40
+        activity.update(0.9 if is_speech else 0.05, -20.0 + is_speech * 1.0, FRAME,
+                        (-20.0 + is_speech * 1.0, -60.0 + is_speech * 20.0))
+    assert not activity.noise.is_babble
+
+
 def test_background_talk_that_ends_is_forgotten():
     activity = SpeechActivity(settings())
     for frame in babble(20.0):

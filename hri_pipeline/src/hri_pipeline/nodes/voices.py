@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from dataclasses import replace
 from typing import Callable, Deque, Dict, Iterable, List, Optional, Sequence, Set, Tuple
 
 import numpy as np
@@ -58,7 +59,7 @@ _FRAME_PERIOD_S = 0.06
 class VoicesNode(Worker):
     """Gives the blocks of the input to the processor.
 
-    Without sound for STALL_S of ROS time all turns end; after `silence_time` s all voices are removed.
+    Where sound is late by STALL_S of ROS time all turns end; by `silence_time` s all voices are removed.
 
     Parameters
     ----------
@@ -107,9 +108,11 @@ class VoicesNode(Worker):
         self._attempt("speech", self._processor.poll)
 
     def _rest(self, seconds: float) -> bool:
-        if seconds >= STALL_S or seconds >= self._settings.silence_time:
-            self._attempt("idle", lambda: self._processor.idle(seconds))
-        if seconds < self._settings.silence_time:
+        # A message comes when its sound is over: the next one is not late before.
+        late = seconds - self._input.message_s
+        if late >= STALL_S or late >= self._settings.silence_time:
+            self._attempt("idle", lambda: self._processor.idle(late))
+        if late < self._settings.silence_time:
             return False
         self._attempt("idle", self._processor.remove_voices)
         return True
@@ -170,6 +173,7 @@ class VoiceProcessor:
         self._robot_input = RobotVoiceInput(self._robot)
         self._barge_in: Optional[BargeInFilter] = None
         self._channels = 0
+        self._broken: Tuple[int, ...] = ()
         self._speech: Optional[SpeechRecognition] = None
         self._no_speech = ""
         if settings.speech and SpeechRecognition.enabled(settings):
@@ -191,8 +195,10 @@ class VoiceProcessor:
     def process(self, block: SoundBlock) -> None:
         """Find the voices in a block and publish them."""
         channels = block.samples.shape[1]
-        if channels != self._channels:
-            self._restart(channels)
+        if (channels, block.broken) != (self._channels, self._broken):
+            self._restart(channels, block.broken)
+        if block.broken:
+            block = replace(block, samples=block.samples[:, self._working()])
         self._robot_input.update(rospy.get_time())
         observations = hear_humans(self._pipeline, self._robot, self._barge_in, block)
         self._end = block.stamp + len(block.samples) / RATE
@@ -262,7 +268,7 @@ class VoiceProcessor:
         """Return level, message and values of each task for diagnostics."""
         tracked = self._pipeline.tracked
         values: Dict[str, object] = {"tracked": len(tracked), "channels": self._channels,
-                                     "direction": bool(self._array_fits())}
+                                     "direction": bool(self._array_fits()), "broken_microphones": len(self._broken)}
         values.update(self._counts)
         found = {"voices": (OK, "{} voices".format(len(tracked)), values), "own voice": self._robot_input.status()}
         if len(self._positions) and self._channels and not self._array_fits():
@@ -317,23 +323,30 @@ class VoiceProcessor:
             self._no_speech = str(error)
             rospy.logerr("%s", error)
 
-    def _restart(self, channels: int) -> None:
-        """Start a new pipeline for this number of channels."""
+    def _restart(self, channels: int, broken: Tuple[int, ...]) -> None:
+        """Start a new pipeline for this number of channels, without those that are broken microphones."""
         if self._channels:
             self.reset()
-        self._channels = channels
+        self._channels, self._broken = channels, broken
         self._barge_in = None
         if self._array_fits():
-            self._barge_in = BargeInFilter(SoundSeparator(self._positions, self._settings), self._robot, self._settings)
+            places = self._positions[self._working()] if broken else self._positions
+            self._barge_in = BargeInFilter(SoundSeparator(places, self._settings), self._robot, self._settings)
         elif len(self._positions):
             rospy.logwarn("%s", self._misfit())
         self._pipeline = VoicePipeline(self._settings, self._model, self._barge_in, self._ids,
                                        self._speakers)
 
+    def _working(self) -> List[int]:
+        """Return the indices of the channels that are used."""
+        return [index for index in range(self._channels) if index not in self._broken]
+
     def _array_fits(self) -> bool:
-        return len(self._positions) >= 2 and len(self._positions) == self._channels
+        return len(self._working()) >= 2 and len(self._positions) == self._channels
 
     def _misfit(self) -> str:
+        if len(self._positions) == self._channels:
+            return "one of {} microphones works: no directions; check the others".format(self._channels)
         return "~microphone_positions has {} microphones and the sound {} channels: no directions; give one position " \
                "per channel, or select channels by ~microphone_channels".format(len(self._positions), self._channels)
 

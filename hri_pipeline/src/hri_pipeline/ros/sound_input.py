@@ -63,6 +63,11 @@ class SoundInput(SensorInput):
     settings : VoicesSettings
     on_restart : callable, optional
         Called without arguments when a new stream begins: time has gone back, or the format has changed.
+
+    Attributes
+    ----------
+    message_s : float
+        s, length of the sound in the last message, at most MAX_WAITING_S.
     """
 
     def __init__(self, settings: VoicesSettings, on_restart: Optional[Callable[[], None]] = None) -> None:
@@ -80,6 +85,7 @@ class SoundInput(SensorInput):
         self._bad: Tuple[str, float] = ("", float("-inf"))
         self._gap: Tuple[str, float] = ("", float("-inf"))
         self._dropped_bytes = 0
+        self.message_s = 0.0
         self.counts = {"messages": 0, "unreadable": 0, "dropped_messages": 0, "restarts": 0, "time_jumps": 0}
         self._subscribers = [
             rospy.Subscriber("audio", AudioData, self._on_audio, buff_size=BUFFER_BYTES, tcp_nodelay=True),
@@ -216,6 +222,7 @@ class SoundInput(SensorInput):
             if dropped:
                 self._stream.skip(dropped / (form.frame_bytes * form.sample_rate))
             blocks = self._stream.add(chunk.data, chunk.arrival)
+            self.message_s = min(len(chunk.data) / (form.frame_bytes * form.sample_rate), MAX_WAITING_S)
             self._note_gap(sum(block.gap for block in blocks), dropped > 0)
             return blocks
         except SoundError as error:

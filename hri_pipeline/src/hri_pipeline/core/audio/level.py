@@ -1,5 +1,5 @@
-"""Level of a sound in dBFS, and what is wrong with it: clipping, an offset, channels that are dead, silent or
-copies."""
+"""Level of a sound in dBFS, and what is wrong with it: clipping, an offset, channels that are dead, silent, inverted or
+copies. What can be put right is: an offset, and channels that would cancel each other."""
 
 from __future__ import annotations
 
@@ -28,6 +28,14 @@ _SILENT_DB = 25.0
 # 10 Hz, rounding to 16 bits by less above -80 dBFS.
 _SAME_SHARE = 1e-5
 _LEAST_POWER = 1e-8
+# An offset is taken from the sound from here on: half a step of 8 bits. The median of 2 s leaves bangs alone.
+_LEAST_OFFSET, _OFFSET_PIECES, _FIRST_PIECES = 0.002, 20, 5
+# Correlations of the last second at which a channel is turned over, and turned back: one plug of a balanced microphone
+# in a stereo socket gives -1, microphones in different places hardly less than 0.
+_OPPOSED, _AGREED, _OPPOSED_PIECES = -0.7, 0.3, 10
+# A microphone of an array hears nothing but its own noise where it is less like all others than this, louder than most,
+# and each of those is more alike than that to another.
+_UNLIKE, _ALIKE = 0.2, 0.5
 # The quietest pieces are pauses of speech, as in minimum statistics (R. Martin, IEEE Trans. SAP 9(5), 2001).
 _FLOOR_PERCENTILE = 10.0
 
@@ -64,6 +72,9 @@ class _Piece:
         top = size >= _TOP * self.largest
         self.below_peak = (size >= _BELOW_TOP * self.largest).sum(axis=0) - top.sum(axis=0)
         self.at_peak = (top[1:-1] & top[:-2] & top[2:]).sum(axis=0)
+        # Of the slope, in which neither an offset nor a hum counts.
+        slope = np.diff(samples, axis=0) if samples.shape[1] > 1 else samples[:0]
+        self.slopes = (slope.T @ slope).astype(np.float64)
 
 
 class SoundLevel:
@@ -94,7 +105,18 @@ class SoundLevel:
         self._pieces: Deque[_Piece] = deque(maxlen=int(WINDOW_S / _PIECE_S))
         self._waiting: List[np.ndarray] = []
         self._held = 0
+        self._signs = np.ones(channels, np.float32)
+        self._offset = np.zeros(channels, np.float32)
+        self._subtracted = self._offset
+        # Of broken microphones: the pieces for which they still count as that.
+        self._faults: Dict[int, int] = {}
+        self._fresh = 0
         self.clipped = 0
+
+    @property
+    def broken(self) -> Tuple[int, ...]:
+        """Indices of the microphones of an array that are dead, silent or hear noise alone, now or within WINDOW_S."""
+        return tuple(sorted(self._faults))
 
     def add(self, samples: np.ndarray) -> None:
         """Add samples (N, C), -1 to 1."""
@@ -109,6 +131,54 @@ class SoundLevel:
             self.clipped += self._pieces[-1].clipped
         # A copy, because a view would keep all of the sound in memory.
         self._waiting, self._held = [sound[whole:].copy()], len(sound) - whole
+        self._find_offset()
+        if self._is_array:
+            self._find_broken(whole // self._size)
+        elif self._channels > 1:
+            self._find_signs()
+
+    def corrected(self, samples: np.ndarray) -> np.ndarray:
+        """Return samples (N, C), which were added, without their offset, and in phase if the channels are mixed."""
+        before, self._subtracted = self._subtracted, self._offset
+        if before is not self._offset:
+            # In a ramp, which does not click.
+            steps = np.linspace(0.0, 1.0, len(samples), dtype=np.float32)[:, None]
+            samples = samples - (before + steps * (self._offset - before))
+        elif self._offset.any():
+            samples = samples - self._offset
+        return samples * self._signs if self._signs.min() < 0.0 else samples
+
+    def _find_offset(self) -> None:
+        last = list(self._pieces)[-_OFFSET_PIECES:]
+        newest = last[-1].sums / last[-1].count if last else self._offset
+        if len(last) < _FIRST_PIECES or (np.abs(newest - self._offset) < _LEAST_OFFSET).all():
+            return
+        found = np.median([piece.sums / piece.count for piece in last], axis=0)
+        found[np.abs(found) < _LEAST_OFFSET] = 0.0
+        if (np.abs(found - self._offset) >= _LEAST_OFFSET).any():
+            self._offset = found.astype(np.float32)
+
+    def _find_broken(self, fresh: int) -> None:
+        """Note once a second which microphones are broken, after `fresh` new pieces; one is that until it has worked
+        for WINDOW_S."""
+        self._fresh += fresh
+        if self._fresh < _LEVEL_PIECES:
+            return
+        fresh, self._fresh = self._fresh, 0
+        pieces = list(self._pieces)
+        constant = self._constant(pieces)
+        found = set(self._silent(pieces) + self._noisy(pieces) + (constant if len(constant) < self._channels else ()))
+        left = {index: left - fresh for index, left in self._faults.items() if left > fresh}
+        self._faults = {**left, **{index: self._pieces.maxlen or 0 for index in found}}
+
+    def _find_signs(self) -> None:
+        """Turn channels over that would cancel the loudest one."""
+        products = np.sum([piece.slopes for piece in list(self._pieces)[-_OPPOSED_PIECES:]], axis=0)
+        power = np.maximum(products.diagonal(), 1e-30)
+        loudest = int(np.argmax(power))
+        alike = products[loudest] / np.sqrt(power * power[loudest])
+        sign = self._signs[loudest]
+        self._signs = np.where(alike < _OPPOSED, -sign, np.where(alike > _AGREED, sign, self._signs)).astype(np.float32)
 
     def values(self) -> Dict[str, object]:
         """Return the values for diagnostics: levels in dBFS, shares in percent."""
@@ -147,13 +217,9 @@ class SoundLevel:
                                                                       for piece in pieces))
         if constant:
             return "{} dead: one and the same value; check the microphone".format(self._named(constant))
-        silent, copies = self._silent(pieces), self._copies(pieces)
-        if silent:
-            return "{} silent: more than {:.0f} dB below the others; check the microphone, or " \
-                   "~microphone_channels".format(self._named(silent), _SILENT_DB)
-        if copies and self._is_array:
-            return "{} copies of each other: no directions from them; correct ~microphone_channels".format(
-                self._named(copies))
+        channels = self._wrong_channels(pieces)
+        if channels:
+            return channels
         count = sum(piece.count for piece in pieces)
         offset = np.abs(np.sum([piece.sums for piece in pieces], axis=0)) if pieces else np.zeros(1)
         if count and float(offset.max()) / count > _OFFSET:
@@ -162,6 +228,26 @@ class SoundLevel:
                     100.0 * float(offset.max()) / count
                 )
             )
+        return ""
+
+    def _wrong_channels(self, pieces: List[_Piece]) -> str:
+        """Return which channels do not go with the others, empty where all do."""
+        inverted = self._inverted(pieces)
+        if inverted:
+            return "{} inverted: {}; correct the wiring, or the plug of a balanced microphone".format(
+                self._named(inverted), "directions are wrong" if self._is_array else "turned over here, because the "
+                "channels would cancel each other")
+        silent, copies = self._silent(pieces), self._copies(pieces)
+        if silent:
+            return "{} silent: more than {:.0f} dB below the others; check the microphone, or " \
+                   "~microphone_channels".format(self._named(silent), _SILENT_DB)
+        noisy = self._noisy(pieces) if self._is_array else ()
+        if noisy:
+            return "{} noisy: nothing of what the others hear; check the microphone, or ~microphone_channels".format(
+                self._named(noisy))
+        if copies and self._is_array:
+            return "{} copies of each other: no directions from them; correct ~microphone_channels".format(
+                self._named(copies))
         return ""
 
     def _named(self, channels: Sequence[int]) -> str:
@@ -206,6 +292,39 @@ class SoundLevel:
         count = sum(piece.count for piece in pieces)
         mean = np.sum([piece.sums for piece in pieces], axis=0) / count
         return np.sum([piece.products for piece in pieces], axis=0) / count - np.outer(mean, mean)
+
+    def _inverted(self, pieces: List[_Piece]) -> Tuple[int, ...]:
+        """Return the indices of the channels whose sign is not that of the others."""
+        if not self._is_array:
+            signs = self._signs
+        else:
+            alike = self._correlation(pieces)
+            if alike is None:
+                return ()
+            usual = int(np.argmax(np.abs(alike).sum(axis=0)))
+            signs = np.where(alike[usual] < _OPPOSED, -1.0, 1.0)
+        fewer = signs < 0.0 if (signs < 0.0).sum() <= 0.5 * len(signs) else signs > 0.0
+        return tuple(int(index) for index in np.flatnonzero(fewer))
+
+    def _correlation(self, pieces: List[_Piece]) -> Optional[np.ndarray]:
+        """Return the correlation (C, C) of the channels, None where there is no covariance."""
+        covariance = self._covariance(pieces)
+        if covariance is None:
+            return None
+        size = np.sqrt(np.maximum(covariance.diagonal(), 1e-30))
+        return covariance / np.outer(size, size)
+
+    def _noisy(self, pieces: List[_Piece]) -> Tuple[int, ...]:
+        """Return the index of the channel that hears noise of its own only, louder than most."""
+        correlation, covariance = self._correlation(pieces), self._covariance(pieces)
+        if correlation is None or covariance is None or self._channels < 3:
+            return ()
+        power = covariance.diagonal()
+        alike = np.abs(correlation) - np.eye(self._channels)
+        index = int(np.argmin(alike.max(axis=0)))
+        others = np.delete(np.delete(alike, index, 0), index, 1)
+        is_noise = alike[index].max() < _UNLIKE and power[index] > np.median(power) > _LEAST_POWER
+        return (index,) if is_noise and others.max(axis=0).min() > _ALIKE else ()
 
     def _silent(self, pieces: List[_Piece]) -> Tuple[int, ...]:
         """Return the indices of the channels that are much softer than most."""

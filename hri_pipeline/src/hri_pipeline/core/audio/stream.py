@@ -345,15 +345,18 @@ class SoundBlock:
         s, of the first sample.
     gap : float
         s of sound that is missing before it.
+    broken : tuple of int
+        Indices of the channels that are microphones of an array and hear nothing of what the others do.
     """
 
     samples: np.ndarray
     stamp: float
     gap: float = 0.0
+    broken: Tuple[int, ...] = ()
 
 
 class SoundStream:
-    """Decodes, selects channels, measures, resamples and stamps a stream of one format.
+    """Decodes, selects channels, measures, corrects, resamples and stamps a stream of one format.
 
     Stamps never go back. Where sound comes after all whose place was taken for a gap, it stands close together behind
     what was heard last, until the clock has caught up.
@@ -422,6 +425,7 @@ class SoundStream:
         if len(self._used) != self.form.channels or self._used != sorted(self._used):
             samples = samples[:, self._used]
         self._level.add(samples)
+        samples = self._level.corrected(samples)
         start = self._stream_time()
         self._taken += len(samples)
         before = self._clock.offset
@@ -508,6 +512,6 @@ class SoundStream:
         for start in range(0, len(samples), BLOCK):
             stamp = max(self._begin + self._given / RATE + offset - self._latency, self._least_stamp)
             self._least_stamp = stamp + _LEAST_STEP_S
-            blocks.append(SoundBlock(samples[start:start + BLOCK], stamp, 0.0 if blocks else gap))
+            blocks.append(SoundBlock(samples[start:start + BLOCK], stamp, 0.0 if blocks else gap, self._level.broken))
             self._given += len(blocks[-1].samples)
         return blocks

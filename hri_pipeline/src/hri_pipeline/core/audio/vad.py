@@ -45,6 +45,7 @@ _BABBLE_RANGE = 9.0         # dB
 _ABOVE_BABBLE, _BELOW_BABBLE = 2.0, 2.0     # dB: to begin, to go on
 _LEAST_BABBLE = 0.3         # share of frames
 _IN_FRONT = 3.0             # dB
+_IN_FRONT_OF_HUM = 2.0      # dB
 _LEAST_PAUSE = 0.1          # share of frames
 _LOW_BAND, _HIGH_BAND = slice(5, 20), slice(86, 208)    # 150 to 600 Hz, 2.7 to 6.5 kHz
 _NOISY_SNR = 8.0            # dB
@@ -142,7 +143,7 @@ class NoiseLevel:
     People in the background are noise as well. The level of one speaker changes by more than 9 dB at low frequencies,
     even in noise, which is steady at high ones; that of several at once changes by less, and by more at high
     frequencies. While that is so in the last 8 s, without what is louder, the level is that of their loudest tenth.
-    Sound that is louder where it is taken for speech is somebody in front of the others.
+    Sound that is louder where it is taken for speech is somebody in front of the others, or of a hum or a fan.
 
     Attributes
     ----------
@@ -217,11 +218,13 @@ class NoiseLevel:
 
 def _is_somebody_in_front(recent: np.ndarray) -> bool:
     """Tell whether the frames (N, 4) of energy, bands and probability are louder where they are taken for speech:
-    frames of talk that only sometimes sounds like a voice are about equally loud."""
+    frames of talk that only sometimes sounds like a voice are about equally loud, within 1 dB at all frequencies. A hum
+    or a fan may be as loud as one speaker; then the bands tell more than the energy."""
     is_speech = recent[:, 3] >= _NO_SPEECH
     if not _LEAST_PAUSE <= 1.0 - float(is_speech.mean()) < 1.0:
         return False
-    return float(recent[is_speech, 0].mean() - recent[~is_speech, 0].mean()) >= _IN_FRONT
+    louder = recent[is_speech, :3].mean(axis=0) - recent[~is_speech, :3].mean(axis=0)
+    return bool(louder[0] >= _IN_FRONT or louder.mean() >= _IN_FRONT_OF_HUM)
 
 
 def check_thresholds(settings: VoiceActivitySettings) -> None:
