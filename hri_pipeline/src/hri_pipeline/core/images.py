@@ -387,7 +387,7 @@ _EMPTY, _FADED = 4.0, 0.25
 below which it does so all at once: a wall with somebody far away before it is as smooth."""
 _LONGEST_BLANK = 3.0
 """Time (s) after which pictures of nothing are a scene of their own."""
-_LONGEST_FLAW = 0.3
+LONGEST_FLAW = 0.3
 """Time (s) for which images that are damaged, or of another scene, are passed over: after that they are the scene."""
 _FLAT_BY, _FLAT_PART, _EXPOSED = 1.0, 0.15, (5.0, 250.0)
 """Grey values by which the pixels of a row differ where nothing was received, part of the rows of which this is so all
@@ -423,13 +423,15 @@ class PictureCuts:
 
     An image that suddenly shows nothing (no light, a covered lens, a broken image) is no cut: what comes after it is
     compared with what was there before. So is one of which a part was not received, and one that shows something else
-    when the next one does not: cameras and networks damage images now and then. A cut is told with its second image.
+    when the next one does not: cameras and networks damage images now and then. A cut is told with its second image,
+    those that follow it at once (a camera that turns too fast to be followed) with their first.
     """
 
     def __init__(self) -> None:
         self._last: Optional[np.ndarray] = None
         self._contrast = 0.0        # of the last image that showed something
         self._flat = 0              # rows of it that are of one colour
+        self._was_cut = False       # whether it was told as one
         self._was_empty = self._is_doubted = False      # what the images were that were passed over since
         self.shown_at = 0.0
         """Stamp (s) of that image."""
@@ -448,16 +450,17 @@ class PictureCuts:
         passed = stamp - self.shown_at if self._last is not None else math.inf
         is_empty = 0.0 <= passed <= _LONGEST_BLANK and contrast < min(_EMPTY, _FADED * self._contrast)
         self._was_empty |= is_empty
-        self.blank = is_empty or (0.0 < passed <= _LONGEST_FLAW and flat - self._flat > _FLAT_PART * _SIDE)
+        self.blank = is_empty or (0.0 < passed <= LONGEST_FLAW and flat - self._flat > _FLAT_PART * _SIDE)
         if self.blank:
             self.changed = False
             return False
         is_cut = self._is_cut(small, contrast, _CUT_IN_BLANK if self._was_empty else _CUT)
-        if is_cut and not self._was_empty and not self._is_doubted and 0.0 < passed <= _LONGEST_FLAW:
+        sure = self._was_empty or self._is_doubted or self._was_cut or not 0.0 < passed <= LONGEST_FLAW
+        if is_cut and not sure:
             self.blank = self._is_doubted = True
             self.changed = False
             return False
-        self._was_empty = self._is_doubted = False
+        self._was_cut, self._was_empty, self._is_doubted = is_cut, False, False
         self._last, self._contrast, self._flat, self.shown_at = small, contrast, flat, stamp
         return is_cut
 
@@ -483,7 +486,7 @@ class PictureCuts:
     def reset(self) -> None:
         """Forget the last image."""
         self._last, self.blank = None, False
-        self._was_empty = self._is_doubted = False
+        self._was_cut = self._was_empty = self._is_doubted = False
 
     @staticmethod
     def _small(bgr: np.ndarray) -> np.ndarray:
