@@ -423,15 +423,13 @@ class PictureCuts:
 
     An image that suddenly shows nothing (no light, a covered lens, a broken image) is no cut: what comes after it is
     compared with what was there before. So is one of which a part was not received, and one that shows something else
-    when the next one does not: cameras and networks damage images now and then. A cut is told with its second image,
-    those that follow it at once (a camera that turns too fast to be followed) with their first.
+    when the next one does not: cameras and networks damage images now and then. A cut is told with its second image.
     """
 
     def __init__(self) -> None:
         self._last: Optional[np.ndarray] = None
         self._contrast = 0.0        # of the last image that showed something
         self._flat = 0              # rows of it that are of one colour
-        self._was_cut = False       # whether it was told as one
         self._was_empty = self._is_doubted = False      # what the images were that were passed over since
         self.shown_at = 0.0
         """Stamp (s) of that image."""
@@ -455,12 +453,11 @@ class PictureCuts:
             self.changed = False
             return False
         is_cut = self._is_cut(small, contrast, _CUT_IN_BLANK if self._was_empty else _CUT)
-        sure = self._was_empty or self._is_doubted or self._was_cut or not 0.0 < passed <= LONGEST_FLAW
-        if is_cut and not sure:
+        if is_cut and not self._was_empty and not self._is_doubted and 0.0 < passed <= LONGEST_FLAW:
             self.blank = self._is_doubted = True
             self.changed = False
             return False
-        self._was_cut, self._was_empty, self._is_doubted = is_cut, False, False
+        self._was_empty = self._is_doubted = False
         self._last, self._contrast, self._flat, self.shown_at = small, contrast, flat, stamp
         return is_cut
 
@@ -486,7 +483,7 @@ class PictureCuts:
     def reset(self) -> None:
         """Forget the last image."""
         self._last, self.blank = None, False
-        self._was_cut = self._was_empty = self._is_doubted = False
+        self._was_empty = self._is_doubted = False
 
     @staticmethod
     def _small(bgr: np.ndarray) -> np.ndarray:

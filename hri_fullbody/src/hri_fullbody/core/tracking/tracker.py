@@ -94,7 +94,8 @@ class BodyTracker:
         ranges.
         """
         if max_bodies < 1 or max_retries < 0:
-            raise ValueError(f"max_bodies is {max_bodies} (1 and more), max_retries {max_retries} (0 and more)")
+            raise ValueError("max_bodies is {} (1 and more), max_retries {} (0 and more)".format(
+                max_bodies, max_retries))
         self._pose = pose
         self._new_id = new_id
         self._max_bodies, self._max_retries = max_bodies, max_retries
