@@ -362,6 +362,14 @@ def test_a_cut_is_told_when_the_next_image_shows_it_too(rate):
                         [(False, True), cut, (False, False)])
 
 
+def test_of_a_fast_turn_of_the_camera_only_the_first_image_is_passed_over():
+    cuts = PictureCuts()
+    told = [(cuts.update(view(number), 1.0 + 0.1 * step), cuts.blank) for step, number in enumerate(
+        (1, 1, 2, 3, 4, 5, 5, 1))]
+    cut = (True, False)
+    assert told[2:] == [(False, True), cut, cut, cut, (False, False), (False, True)]
+
+
 def test_half_images_are_a_scene_of_their_own_after_a_while():
     cuts = PictureCuts()
     cuts.update(view(1), 1.0)
