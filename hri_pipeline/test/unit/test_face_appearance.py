@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from hri_pipeline.core.camera import Calibration, CameraModel
 from hri_pipeline.core.faces.appearance import (
+    BLURRED_S,
     CHECK_PERIOD,
     AppearanceMatcher,
     FaceLook,
@@ -17,7 +18,7 @@ from hri_pipeline.core.faces.appearance import (
     asymmetry,
     correlation,
 )
-from hri_pipeline.core.faces.crops import aligned_crop
+from hri_pipeline.core.faces.crops import aligned_crop, evenness
 from hri_pipeline.core.faces.mesh import MESH_POINTS
 from hri_pipeline.core.faces.track import FaceMeasurement
 from hri_pipeline.core.faces.tracker import FaceTracker
@@ -128,6 +129,53 @@ def test_a_face_that_is_burnt_white_has_no_template_and_is_nobody_else(after, is
     seen = show(faces, *[(normal, [200])] * 5, *[(burnt, [200])] * 9, *[(scene((after, 200)), [200])] * 8)
     assert {one[200] for one in seen[:14]} == {seen[0][200]}
     assert (seen[-1][200] == seen[0][200]) is is_same
+
+
+def shaken(image, length=61, across=False):
+    """An image as of a camera that moved by `length` px meanwhile."""
+    line = np.full((1, length), 1.0 / length, np.float32)
+    return cv2.filter2D(image, -1, line.T if across else line)
+
+
+class DizzyNetwork(Network):
+    """To it all whose details lie along a line are one other person."""
+
+    def __call__(self, crops):
+        return super().__call__([person(9) if evenness(crop) < 0.6 else crop for crop in crops])
+
+
+def dizzy_faces():
+    return FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceMatcher(DizzyNetwork(), 150, 0.8))
+
+
+@pytest.mark.parametrize("across", [False, True])
+@pytest.mark.parametrize("after, is_same", [(1, True), (2, False)])
+def test_a_face_that_motion_blurs_is_nobody_else_and_is_looked_at_when_it_is_sharp(after, is_same, across):
+    faces, sharp = dizzy_faces(), scene((1, 200))
+    blurred = shaken(sharp, across=across)
+    assert correlation(look(sharp, 200), look(blurred, 200)) < 0.8, "it looks unlike itself"
+    seen = show(faces, *[(sharp, [200])] * 5, *[(blurred, [200])] * 9, *[(scene((after, 200)), [200])] * 2)
+    assert {one[200] for one in seen[:14]} == {seen[0][200]}
+    assert (seen[14].get(200) == seen[0][200]) is is_same
+
+
+def test_somebody_else_who_comes_in_the_blur_is_told_by_the_first_sharp_look():
+    faces = dizzy_faces()
+    seen = show(faces, *[(scene((1, 200)), [200])] * 5, *[(shaken(scene((1, 200))), [200])] * 3,
+                *[(shaken(scene((2, 200))), [200])] * 3, *[(scene((2, 200)), [200])] * 2)
+    assert seen[11].get(200) != seen[0][200]
+
+
+def test_who_is_first_seen_blurred_is_the_same_when_the_camera_stands():
+    seen = show(dizzy_faces(), *[(shaken(scene((1, 200))), [200])] * 9, *[(scene((1, 200)), [200])] * 9)
+    assert {one[200] for one in seen} == {seen[0][200]}
+
+
+def test_who_stays_blurred_looks_so():
+    """A smeared lens, or somebody else who seems to be blurred: not for ever."""
+    faces, count = dizzy_faces(), int((BLURRED_S + 1.0) / STEP)
+    seen = show(faces, *[(scene((1, 200)), [200])] * 5, *[(shaken(scene((1, 200))), [200])] * count)
+    assert seen[5 + count // 2][200] == seen[0][200] != seen[-1].get(200)
 
 
 def test_what_was_lost_goes_on_with_the_same_face_only(faces):

@@ -40,6 +40,8 @@ BLUR_PATIENCE_S = 1.0
 _BLUR_STEP_S = 0.5 * BLUR_PATIENCE_S
 """Most of that time that lies between two crops: in a longer pause nobody has seen whether they stay uneven."""
 _DETAIL = 1.5
+_FEATURES, _FEATURES_EDGE = (1.0, 2.5), 6
+"""Deviations (px) of the two blurs between which the features of a face are, and what is left away at each side."""
 _GRAIN = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]], np.float32) / 6.0
 _GRAIN_SIZE, _GRAIN_EDGE = 48, 6
 """Size (px) at which a crop is looked at for noise, since cameras smooth theirs, but for so much at each side: less of
@@ -221,12 +223,36 @@ def evenness(crop: np.ndarray) -> float:
     across it, 0 to 1: from the structure tensor (Foerstner and Guelch 1987)."""
     grey = cv2.cvtColor(cv2.resize(crop, (_JUDGED_SIZE, _JUDGED_SIZE), interpolation=cv2.INTER_AREA),
                         cv2.COLOR_BGR2GRAY).astype(np.float32)
-    details = grey - cv2.GaussianBlur(grey, (0, 0), _DETAIL)
-    along_x = (details[1:-1, 2:] - details[1:-1, :-2]).ravel()
-    along_y = (details[2:, 1:-1] - details[:-2, 1:-1]).ravel()
-    xx, xy, yy = float(along_x @ along_x), float(along_x @ along_y), float(along_y @ along_y)
+    xx, xy, yy = _structure(grey - cv2.GaussianBlur(grey, (0, 0), _DETAIL))
     mean, apart = 0.5 * (xx + yy), float(np.hypot(0.5 * (xx - yy), xy))
     return float(np.sqrt(max(0.0, mean - apart) / max(1e-6, mean + apart)))
+
+
+def _structure(picture: np.ndarray) -> Tuple[float, float, float]:
+    """Return the structure tensor (xx, xy, yy) of a picture (H, W) float32, summed over all of it."""
+    along_x = (picture[1:-1, 2:] - picture[1:-1, :-2]).ravel()
+    along_y = (picture[2:, 1:-1] - picture[:-2, 1:-1]).ravel()
+    return float(along_x @ along_x), float(along_x @ along_y), float(along_y @ along_y)
+
+
+def features(crop: np.ndarray) -> Tuple[float, float, float]:
+    """Return how much there is of eyes, nose and mouth in each direction of a crop (S, S, 3) uint8 BGR, for `smeared`:
+    a structure tensor (xx, xy, yy). What is finer may be noise."""
+    grey = cv2.cvtColor(cv2.resize(crop, (_JUDGED_SIZE, _JUDGED_SIZE), interpolation=cv2.INTER_AREA),
+                        cv2.COLOR_BGR2GRAY).astype(np.float32)
+    fine, coarse = (cv2.GaussianBlur(grey, (0, 0), sigma) for sigma in _FEATURES)
+    return _structure((fine - coarse)[_FEATURES_EDGE:-_FEATURES_EDGE, _FEATURES_EDGE:-_FEATURES_EDGE])
+
+
+def smeared(one: Tuple[float, float, float], other: Tuple[float, float, float]) -> float:
+    """Return what is left of the features of one crop in the direction with least of them, against those of another
+    one, over the same in the direction with most: 1 alike, 0 blurred along a line. Light, distance and focus are the
+    same in all directions. The root of the ratio of the generalised eigenvalues; one, other: see `features`."""
+    (axx, axy, ayy), (bxx, bxy, byy) = one, other
+    determinant = max(1e-6, bxx * byy - bxy * bxy)
+    half = 0.5 * (axx * byy + ayy * bxx - 2.0 * axy * bxy) / determinant
+    apart = float(np.sqrt(max(0.0, half * half - max(0.0, axx * ayy - axy * axy) / determinant)))
+    return float(np.sqrt(max(0.0, half - apart) / max(1e-9, half + apart)))
 
 
 def relative_noise(crop: np.ndarray) -> float:
