@@ -158,3 +158,11 @@ def test_more_agility_trembles_more(still: np.ndarray) -> None:
         for process_noise_scale in (0.3, 10.0)
     )
     assert calm < 0.6 * agile
+
+
+def test_who_walks_out_from_behind_a_counter_keeps_the_points_that_were_seen(still: np.ndarray) -> None:
+    """What was hidden is seen again far from where it was: that is no common motion of the body."""
+    points = still + np.linspace([0.0, 0.0, 0.0], [2.0, 0.0, 0.0], 60)[:, None]
+    points[5:50, [3, 4, *range(6, 14)]] = np.nan
+    filtered = run(points, KeypointFilter())
+    assert np.isfinite(filtered[50:]).all()

@@ -277,8 +277,9 @@ class KeypointFilter:
         last = self._last[rows]
         news = points - last
         ahead = self._velocity[rows] * np.minimum(since, _PREDICTION_S)
-        common = _common(news - ahead)
         known = since[..., 0] <= settings.memory
+        # What was hidden, as the half of somebody behind a counter, is seen again far from where it was.
+        common = _common(np.where(known[..., None], news - ahead, np.nan))
         gate = np.maximum(settings.gate, _GATE_SIGMAS * np.sqrt(self._variance[rows].mean(axis=1)))[:, None]
         speed = settings.gate_speed * _RELATIVE_SPEED
         limit = gate + speed * np.minimum(since[..., 0], _GATE_GROWS_S)
