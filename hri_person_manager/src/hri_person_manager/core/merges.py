@@ -36,11 +36,11 @@ class ChangeLimit:
         one counts, unless they were let through sooner: a name that is withdrawn after that counts, too."""
         for key in keys:
             count, most = self._count(key, now), MOST_CHANGES + (MORE_CHANGES if key in self._sooner else 0.0)
-            self._spent[key] = max(count, min(count, most) + 1.0), now
+            self._spent[key] = min(count, most) + 1.0, now
 
     def holds(self, keys: Keys, now: float) -> bool:
         """Tell whether a match about these may change nothing at `now` (s); due() names them when it may."""
-        if not self._spent or not self._is_spent(keys, now):
+        if not self._is_spent(keys, now):
             return False
         self._waiting.setdefault(keys, (None, now))
         return True
