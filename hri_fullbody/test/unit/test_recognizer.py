@@ -286,6 +286,43 @@ def test_guesses_of_a_knee_that_are_alike_by_chance_are_no_sign_of_sitting():
     assert set(told) == {PostureClass.OTHER}
 
 
+@pytest.mark.parametrize("before, after_half, after_all", [
+    (people.standing(), PostureClass.OTHER, PostureClass.OTHER),
+    (people.seated(), PostureClass.SITTING, PostureClass.OTHER)], ids=["stood", "sat"])
+def test_knees_that_begin_to_jump_about_end_what_was_told_and_count_again_once_they_rest(
+        before, after_half, after_all):
+    """Who sits does so for one second more. The knees may be missing now and then."""
+    estimator, seated, told = PostureEstimator(), people.seated().seen(), []
+    for index in range(75):
+        points = before.seen() if index < 15 else seated.copy()
+        if 15 <= index < 40:
+            points[[kp.LEFT_KNEE, kp.LEFT_ANKLE], 0] += (-1) ** index * 0.12 * STATURE
+        if index % 5 == 0:
+            points[[kp.LEFT_KNEE, kp.LEFT_ANKLE]] = np.nan
+        told.append(estimator.update(points, trunk_axes(points, UP), STATURE, UP, 0.1, unsure=(True, False)))
+    assert told[14] != PostureClass.OTHER and told[-1] == PostureClass.SITTING
+    assert (told[22], told[35]) == (after_half, after_all)
+
+
+def test_looks_that_tell_nothing_now_and_then_do_not_add_up():
+    estimator, seated, lost = PostureEstimator(), people.seated().seen(), np.full((18, 3), np.nan)
+    told = [estimator.update(points, trunk_axes(points, UP), STATURE, UP, 0.1)
+            for index in range(70) for points in [lost if index > 10 and index % 3 else seated]]
+    assert set(told[4:]) == {PostureClass.SITTING}
+
+
+@pytest.mark.parametrize("pose, hidden, given, posture", [
+    (people.seated(), (), {"trunk": 0.46, "leaving": True}, PostureClass.SITTING),
+    (people.seated(), (kp.LEFT_ANKLE, kp.RIGHT_ANKLE), {"floor": 0.5}, PostureClass.SITTING),
+    (people.standing(), (), {"floor": 0.5}, PostureClass.STANDING),
+    (people.standing(), (kp.LEFT_ANKLE, ), {"floor": 0.5}, PostureClass.STANDING)],
+    ids=["sits with thighs at the border", "sits low", "a wrong floor", "a wrong floor and one foot"])
+def test_a_sign_for_or_against_standing_changes_nothing_else(pose, hidden, given, posture):
+    points, body = pose.without(*hidden).seen(place=(0.0, 0.0, 3.0)), BehaviourRecognizer()
+    told = [body.update(points, STATURE, 0.1 * index, UP, **given).posture for index in range(15)]
+    assert told[-1] == posture
+
+
 @pytest.mark.parametrize("trunk, score, posture", [
     (0.43, 1.0, PostureClass.SITTING), (0.50, 1.0, PostureClass.OTHER), (math.nan, 1.0, PostureClass.SITTING),
     (0.43, 0.8, PostureClass.OTHER), (math.nan, math.nan, PostureClass.SITTING)])
@@ -569,6 +606,19 @@ def folded(trunk, left, right=None):
 def test_legs_that_no_chair_folds_so_far_squat_however_uncertain_the_vertical_is(pose, posture, up_sd):
     body = BehaviourRecognizer()
     told = [body.update(pose.seen(0.4), STATURE, 0.1 * index, UP, math.radians(up_sd)).posture for index in range(15)]
+    assert told[-1] == posture
+
+
+@pytest.mark.parametrize("pose, heading, up_sd, posture", [
+    (people.seated(20.0).without(kp.LEFT_ANKLE, kp.RIGHT_ANKLE), 0.0, 12.0, PostureClass.SITTING),
+    (folded(59.0, (53.0, 98.0)), 0.0, 4.0, PostureClass.OTHER),
+    (folded(0.0, (20.0, 47.0)), 1.57, 20.0, PostureClass.OTHER),
+    (folded(0.0, (20.0, 30.0)), 1.57, 20.0, PostureClass.STANDING)],
+    ids=["sits, feet hidden", "bends down", "bent knees", "stands easy"])
+def test_what_a_camera_of_unknown_tilt_tells(pose, heading, up_sd, posture):
+    body = BehaviourRecognizer()
+    told = [body.update(pose.seen(heading), STATURE, 0.1 * index, UP, math.radians(up_sd)).posture
+            for index in range(20)]
     assert told[-1] == posture
 
 
