@@ -83,6 +83,32 @@ def test_hands_put_together_are_hardly_sure_to_be_crossed_arms():
     assert near.attitude_confidence < 0.4 and crossed.attitude_confidence > 0.85
 
 
+def test_an_attitude_is_as_sure_as_it_is_itself_whatever_was_shown_before():
+    together = people.standing().arm("left", (0.02, 0.06, -0.26), (0.18, -0.17, -0.26)).arm(
+        "right", (0.02, 0.06, -0.26), (0.18, -0.17, -0.26))
+    body = BehaviourRecognizer()
+    assert show(body, people.raised().seen(), 1.5)[-1].attitude_confidence > 0.9
+    told = [seen for seen in show(body, together.seen(), 1.0, start=1.6) if seen.attitude == AttitudeClass.ARMS_CROSSED]
+    assert told and max(seen.attitude_confidence for seen in told) < 0.4
+
+
+@pytest.mark.parametrize("looks, attitude", [(4, AttitudeClass.HANDS_RAISED), (1, AttitudeClass.OTHER)])
+def test_what_is_seen_in_most_looks_counts(looks, attitude):
+    """Of five looks at 30 Hz, so many show a raised hand."""
+    raised, standing = people.raised().seen(), people.standing().seen()
+    told = show(BehaviourRecognizer(), lambda time: raised if round(30.0 * time) % 5 < looks else standing, 3.0, 30.0)
+    assert {seen.attitude for seen in told[30:]} == {attitude}
+
+
+def test_joints_at_one_place_are_no_attitude():
+    """As of a face box without a body: no arm has a length."""
+    points = np.tile([0.1, 0.2, 3.0], (18, 1))
+    assert {seen.attitude for seen in show(BehaviourRecognizer(), points, 1.0)} == {AttitudeClass.OTHER}
+    points = people.crossed().seen()
+    points[[kp.LEFT_WRIST, kp.RIGHT_WRIST]] = points[[kp.LEFT_ELBOW, kp.RIGHT_ELBOW]]
+    assert last(points).attitude == AttitudeClass.OTHER
+
+
 @pytest.mark.parametrize("pose", [people.raised(), people.on_face(), people.crossed()])
 def test_an_attitude_is_believed_while_its_end_is_awaited(pose):
     body = BehaviourRecognizer()
@@ -714,7 +740,9 @@ def test_a_latch_has_two_thresholds_and_times():
         assert latch.update(score, 0.1) == active, (score, active)
     for _ in range(3):
         latch.update(1.0, 0.1)
+    assert all(latch.update(score, 0.4) for _ in range(5) for score in (math.nan, 0.5)), "now and then"
     assert [latch.update(math.nan, 0.2) for _ in range(3)] == [True, True, False]
+    assert not any(latch.update(score, 0.15) for _ in range(5) for score in (0.8, 0.8, 0.2)), "anew each time"
 
 
 def test_turns_count_swings_of_a_size():
