@@ -635,17 +635,43 @@ def test_legs_that_no_chair_folds_so_far_squat_however_uncertain_the_vertical_is
     assert told[-1] == posture
 
 
-@pytest.mark.parametrize("pose, heading, up_sd, posture", [
-    (people.seated(20.0).without(kp.LEFT_ANKLE, kp.RIGHT_ANKLE), 0.0, 12.0, PostureClass.SITTING),
-    (folded(59.0, (53.0, 98.0)), 0.0, 4.0, PostureClass.OTHER),
-    (folded(0.0, (20.0, 47.0)), 1.57, 20.0, PostureClass.OTHER),
-    (folded(0.0, (20.0, 30.0)), 1.57, 20.0, PostureClass.STANDING)],
-    ids=["sits, feet hidden", "bends down", "bent knees", "stands easy"])
-def test_what_a_camera_of_unknown_tilt_tells(pose, heading, up_sd, posture):
+ANKLES = (kp.LEFT_ANKLE, kp.RIGHT_ANKLE)
+UNSURE = [
+    ("sits, feet hidden", people.seated(20.0).without(*ANKLES), 0.0, 12.0, PostureClass.SITTING),
+    ("sits, a knee higher", folded(20.0, (119.0, 54.0), (71.0, 50.0)).without(kp.LEFT_ANKLE), 0.0, 9.0,
+     PostureClass.SITTING),
+    ("sits, seen from behind", folded(20.0, (34.0, 69.0)).without(kp.LEFT_SHOULDER), 2.9, 20.0, PostureClass.SITTING),
+    ("bends down", folded(59.0, (53.0, 98.0)), 0.0, 4.0, PostureClass.OTHER),
+    ("bent knees", folded(0.0, (20.0, 47.0)), 1.57, 20.0, PostureClass.OTHER),
+    ("bent knees of long legs", folded(0.0, (44.0, 62.0)), 0.0, 9.0, PostureClass.OTHER),
+    ("kneels", folded(20.0, (24.0, 139.0)), 0.0, 9.0, PostureClass.OTHER),
+    ("crouches or sits", folded(20.0, (37.0, 119.0)).without(kp.LEFT_SHOULDER), 0.0, 20.0, PostureClass.OTHER),
+    ("one knee lower", folded(10.0, (110.0, 150.0), (70.0, 128.0)), 0.0, 12.0, PostureClass.OTHER),
+    ("stands easy", folded(0.0, (20.0, 30.0)), 1.57, 20.0, PostureClass.STANDING),
+    ("stands, one leg seen", folded(0.0, (22.0, 29.0)).without(kp.LEFT_KNEE, kp.LEFT_ANKLE), 0.0, 9.0,
+     PostureClass.STANDING)]
+SURE = [
+    ("bent down, feet hidden", people.standing().lean(75.0).without(*ANKLES), 0.0, 0.0, PostureClass.OTHER),
+    ("tips back with the chair", folded(-70.0, (80.0, 80.0)), 0.0, 0.0, PostureClass.OTHER),
+    ("rests with the legs up", folded(-55.0, (95.0, 5.0)), 0.0, 0.0, PostureClass.OTHER),
+    ("leans forward, feet hidden", people.seated(40.0).without(*ANKLES), 0.0, 0.0, PostureClass.OTHER),
+    ("thighs that slope, feet hidden", folded(5.0, (40.0, 40.0)).without(*ANKLES), 0.0, 0.0, PostureClass.OTHER)]
+
+
+@pytest.mark.parametrize("pose, heading, up_sd, posture", [case[1:] for case in UNSURE + SURE],
+                         ids=[case[0] for case in UNSURE + SURE])
+def test_a_posture_under_a_camera_of_known_and_of_unknown_tilt(pose, heading, up_sd, posture):
+    """heading: rad; up_sd: degrees."""
     body = BehaviourRecognizer()
     told = [body.update(pose.seen(heading), STATURE, 0.1 * index, UP, math.radians(up_sd)).posture
             for index in range(20)]
     assert told[-1] == posture
+
+
+def test_who_lies_on_a_side_is_told_without_legs():
+    pose = people.standing().without(*LEGS)
+    pose.points = pose.points[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
+    assert last(pose.seen()).posture == PostureClass.LAYING
 
 
 @pytest.mark.parametrize("up_sd", [0.0, 4.0])
