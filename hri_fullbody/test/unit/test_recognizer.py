@@ -200,6 +200,16 @@ def test_a_glimpse_of_a_hand_that_is_then_remembered_is_no_raised_hand(rate, aga
     assert show(body, shown, 1.0, rate, start=3.0)[-1].attitude == AttitudeClass.HANDS_RAISED
 
 
+@pytest.mark.parametrize("neck", [(), (kp.NECK, )], ids=["", "without a neck"])
+def test_a_wrist_is_remembered_and_then_unknown(neck):
+    """For .7 s beside the neck, or between the shoulders, and for 1 s more as what is not known."""
+    body = BehaviourRecognizer()
+    show(body, people.raised().without(*neck).seen(), 1.0)
+    told = [seen.attitude == AttitudeClass.HANDS_RAISED for seen in show(
+        body, people.raised().without(kp.LEFT_WRIST, *neck).seen(), 3.0, start=1.05)]
+    assert told.index(False) / 15.0 == pytest.approx(1.7, abs=0.15)
+
+
 def test_one_arm_is_enough_and_one_elbow_may_be_hidden():
     one = people.raised("left").without(kp.RIGHT_ELBOW, kp.RIGHT_WRIST).seen()
     assert last(one).gesture == GestureClass.LEFT_HAND_RAISED
@@ -470,6 +480,9 @@ def test_whose_thighs_hang_out_of_the_image_stands(pose, trunk, score, posture):
     told = [body.update(points, STATURE, 0.1 * index, UP, trunk=trunk, score=score, leaving=True).posture
             for index in range(15)]
     assert told[-1] == posture
+    told = [body.update(people.seated().without(*LEGS).seen(), STATURE, 5.0 + 0.1 * index, UP, trunk=trunk,
+                        score=score).posture for index in range(15)]
+    assert told[-1] == PostureClass.OTHER, "behind a table, not out of the image"
 
 
 @pytest.mark.parametrize("floor, posture", [
@@ -728,7 +741,7 @@ def test_arms_of_somebody_upside_down_or_bent_down_are_not_raised():
 @pytest.mark.parametrize("change, message", [
     ({"points": np.zeros((17, 3))}, r"\(18, 3\)"), ({"stature": 0.0}, "stature"), ({"stature": math.nan}, "stature"),
     ({"stamp": math.inf}, "stamp"), ({"up": (0.0, 0.0, 0.0)}, "direction"),
-    ({"up": (math.nan, 0.0, 1.0)}, "direction")])
+    ({"up": (math.nan, 0.0, 1.0)}, "direction"), ({"up": (0.0, -1.0)}, "direction")])
 def test_wrong_input_is_refused_and_changes_nothing(change, message):
     body = BehaviourRecognizer()
     show(body, people.raised().seen(), 1.0)
