@@ -117,6 +117,16 @@ def test_one_human_in_two_views_is_one_person():
     assert len(room.tracked) == 1 and len(set(room.ids[60:])) == 1
 
 
+def test_a_threshold_that_is_changed_parts_nobody_whom_two_cameras_see():
+    room = Room(OVERLAPPING)
+    room.run(4.0, standing(3.0))
+    for threshold in (0.95, 0.3):
+        room.manager.reconfigure(PERSON_MANAGER_PARAMETERS.resolve({"match_threshold": threshold}), room.now)
+        room.run(1.0, standing(3.0))
+        assert len(room.tracked) == 1
+        assert [likelihood >= threshold for _, _, likelihood in room.manager.merges] == [True]
+
+
 def colours(top, trousers=60.0, light=0.0, tint=0.0):
     """Histograms (5, 21) of clothes of these lightnesses (0 to 255) as a camera of some light and tint shows them."""
     middles = [top + light] * 3 + [trousers + light] * 2
