@@ -144,6 +144,21 @@ def test_a_tilted_camera_and_a_child_make_no_difference(pose, attitude, gesture)
     assert (seen.attitude, seen.gesture, seen.posture) == (attitude, gesture, PostureClass.STANDING)
 
 
+@pytest.mark.parametrize("pose, attitude, gesture", ATTITUDES)
+@pytest.mark.parametrize("hidden", [(kp.LEFT_HIP, kp.RIGHT_HIP, *LEGS), (kp.NECK, ), (kp.LEFT_EYE, kp.NOSE)],
+                         ids=["hips", "neck", "half of the face"])
+def test_each_attitude_without_what_others_tell(pose, attitude, gesture, hidden):
+    seen = pose.seen()
+    seen[list(hidden)] = np.nan
+    told = last(seen)
+    assert (told.attitude, told.gesture) == (attitude, gesture)
+
+
+@pytest.mark.parametrize("hidden", [kp.LEFT_SHOULDER, kp.RIGHT_SHOULDER])
+def test_arms_are_crossed_with_a_shoulder_behind_somebody_else(hidden):
+    assert last(people.crossed().without(hidden).seen()).attitude == AttitudeClass.ARMS_CROSSED
+
+
 @pytest.mark.parametrize("name, pose", NOTHING, ids=[name for name, _ in NOTHING])
 def test_other_arm_poses_are_nothing(name, pose):
     seen = last(pose.seen())
