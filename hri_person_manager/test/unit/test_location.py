@@ -228,6 +228,8 @@ def test_half_of_the_step_from_body_to_face_is_given_up_each_second_however_ofte
         transition = both_seen()
         shifts = [shift(transition, 1.0 + number / rate) for number in range(1, int(2.0 * rate) + 1)]
         assert shifts[int(rate) - 1] == pytest.approx(0.1) and shifts[-1] == pytest.approx(0.05)
+        transition.face("map", np.zeros(3), 3.1)
+        assert shift(transition, 3.1 + 1e-6) == pytest.approx(0.2, abs=1e-3), "the face was there again"
 
 
 def test_a_step_is_of_one_body_in_one_frame():
@@ -263,13 +265,15 @@ def test_who_is_forgotten_or_leaves_has_left_nothing():
         location.offer(PlaceSource.FACE, place(0.1 * number, 0.1 * number), 0.1 * number, "f")
         location.offer(PlaceSource.HEAD, place(0.1 * number - 0.2, 0.1 * number), 0.1 * number, "b")
     location.retain(("f", ), 0.95)
-    assert not location.offer(PlaceSource.VOICE, place(5.0, 0.95), 0.95, "v"), "the face is there"
+    assert not location.offer(PlaceSource.HEAD, place(0.75, 0.95), 0.95, "b"), "the face is there"
+    assert not location.offer(PlaceSource.VOICE, place(5.0, 0.95), 0.95, "v")
     location.retain((), 1.0)
     assert 0.9 < location.confidence(1.0, Decay()) < 1.0 and location.confidence(6.1, Decay()) < 0.5
+    location.offer(PlaceSource.FACE, place(1.0, 1.0), 1.0, "f")
     location.clear()
     assert location.place is None and location.expected(1.0) is None and location.confidence(1.0, Decay()) == 0.0
     assert location.offer(PlaceSource.VOICE, place(3.0, 1.0), 1.0, "v")
-    assert location.offer(PlaceSource.HEAD, place(3.0, 1.1), 1.1, "b")
+    assert location.offer(PlaceSource.HEAD, place(3.0, 1.1), 1.1, "b"), "no face is there any more"
     assert location.place.pose.translation[0] == 3.0
     assert location.expected(1.5).pose.translation[0] == pytest.approx(3.0)
 
@@ -409,6 +413,22 @@ def test_a_lost_person_goes_on_and_comes_to_rest():
     location, last = moving(2.0)
     way = [location.expected(last + elapsed).pose.translation[0] - last for elapsed in (0.0, 0.1, 1.0, 2.0, 60.0)]
     assert way[0] == 0.0 and 0.07 < way[1] < 0.1 and 0.6 < way[2] < 0.75 and 0.8 < way[3] <= 1.0 and way[4] == way[3]
+
+
+def test_a_place_that_is_told_twice_tells_no_other_velocity():
+    once, twice = CoastingMotion(1.0), CoastingMotion(1.0)
+    for number in range(10):
+        once.see(place(0.1 * number, 0.1 * number))
+        for _ in range(2):
+            twice.see(place(0.1 * number, 0.1 * number))
+    assert twice.velocity[0] == once.velocity[0] > 0.7
+
+
+def test_in_the_frame_of_a_camera_the_floor_is_x_and_z():
+    seen = Place("head_link", Pose(np.eye(3), np.array([1.0, 2.0, 3.0])), 0.0, covariance=np.diag([4.0, 5.0, 6.0]))
+    assert seen.horizontal == (1.0, 2.0) and np.array_equal(seen.horizontal_covariance, np.diag([4.0, 5.0]))
+    seen = replace(seen, of_camera=True)
+    assert seen.horizontal == (1.0, 3.0) and np.array_equal(seen.horizontal_covariance, np.diag([4.0, 6.0]))
 
 
 def test_a_jump_of_the_measurement_is_no_velocity():
