@@ -258,10 +258,7 @@ class KeypointFilter:
         anew = ~((step > 0.0) & (step <= settings.memory))
         if anew.any():
             fresh = rows[anew]
-            self._last[fresh] = self._elsewhere[fresh] = np.nan
-            self._seen[fresh], self._elsewhere_since[fresh] = -np.inf, np.inf
-            self._velocity[fresh] = 0.0
-            self._raw[fresh] = np.nan
+            self._seen[fresh], self._raw[fresh] = -np.inf, np.nan
             step = np.where(anew, 1.0, step)
         points, restart = self._gate(rows, points, step, stamp)
         self._gated[rows], self._stamp[rows] = points, stamp
