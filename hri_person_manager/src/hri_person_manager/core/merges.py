@@ -141,7 +141,8 @@ class Merges:
     def set_observed(self, first: str, second: str, likelihood: float) -> bool:
         """Keep an observed likelihood, 0 withdraws it; return whether who is joined with whom may have changed.
 
-        What is observed joins, whatever the threshold is; what was reported of the pair has priority. Raises ValueError for a person and itself.
+        What is observed joins, whatever the threshold is; what was reported of the pair has priority. Raises ValueError
+        for a person and itself.
         """
         pair = _pair(first, second)
         before = self._is_joined(pair)
