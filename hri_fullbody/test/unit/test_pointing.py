@@ -23,6 +23,13 @@ def test_a_stretched_arm_held_still_points_after_half_a_second():
     assert found[-1].direction[2] < -0.8 and found[-1].direction[1] > 0.0     # to the camera, down
 
 
+@pytest.mark.parametrize("rate, seconds", [(4.0, 1.0), (5.0, 0.8), (8.0, 0.6), (30.0, 0.5)])
+def test_it_is_told_from_slow_cameras_too(rate, seconds):
+    found = told(AHEAD.seen(), seconds=2.0, rate=rate)
+    assert [pointing is not None for pointing in found].index(True) / rate <= seconds
+    assert None not in found[int(seconds * rate):]
+
+
 @pytest.mark.parametrize("pose", [
     people.standing(), people.raised("right"), people.crossed(), people.on_face(),
     people.standing().arm("left", (0.02, 0.02, 0.28), (0.04, 0.03, 0.54))],

@@ -25,6 +25,7 @@ _HAND = 0.108       # Drillis and Contini 1966
 # The ray has not turned by more than this, rad, between the halves of this time, s.
 _STILL, _HOLD_S = math.radians(6.0), 0.5
 _LEAST_SAMPLES, _LEAST_SHARE = 4, 0.8
+_LONGEST_HOLD_S = 1.0   # that so many samples of a slow camera may take
 _WIDEST = math.radians(9.0)     # between the ray and a person who is meant
 # Standard deviation of that, and how likely it is that nobody is meant, against somebody right on the ray.
 _RAY_SD, _NOBODY = math.radians(5.0), 0.2
@@ -69,7 +70,8 @@ class PointingEstimator:
         best: Optional[Pointing] = None
         for rays, arm in zip(self._rays, _ARMS):
             ray = _ray(points, arm, stature, up)
-            while rays and not 0.0 <= stamp - rays[0][0] <= _HOLD_S + 1e-6:
+            while rays and not 0.0 <= stamp - rays[0][0] <= 1e-6 + (
+                    _HOLD_S if len(rays) >= _LEAST_SAMPLES else _LONGEST_HOLD_S):
                 rays.popleft()
             rays.append((stamp, None if ray is None else ray[1]))
             if ray is None:
