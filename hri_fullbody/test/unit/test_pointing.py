@@ -30,6 +30,18 @@ def test_it_is_told_from_slow_cameras_too(rate, seconds):
     assert None not in found[int(seconds * rate):]
 
 
+@pytest.mark.parametrize("rate, gap", [(30.0, 0.85), (15.0, 0.8)])
+def test_what_was_seen_before_a_gap_is_no_part_of_it(rate, gap):
+    """A camera of many images is no slow one where some are missing: the arm was anywhere in between."""
+    estimator, point = PointingEstimator(), AHEAD.seen()
+    for stamp in np.arange(int(rate)) / rate:
+        found = estimator.update(point, people.STATURE, stamp, people.UP)
+    assert found is not None
+    back = 1.0 - 1.0 / rate + gap + np.arange(int(0.5 * rate) + 1) / rate
+    told_again = [estimator.update(point, people.STATURE, stamp, people.UP) is not None for stamp in back]
+    assert told_again[-1] and not any(told_again[:int(0.3 * rate)]), told_again
+
+
 @pytest.mark.parametrize("pose", [
     people.standing(), people.raised("right"), people.crossed(), people.on_face(),
     people.standing().arm("left", (0.02, 0.02, 0.28), (0.04, 0.03, 0.54))],
