@@ -275,13 +275,13 @@ class ImageInputTest(InputCase):
 
     def test_a_calibration_of_another_resolution_than_it_says_is_scaled_and_told(self):
         image_input = self.image_input()
-        self.calibrate(image_input, info(matrix=[400.0, 0, 160, 0, 400.0, 120, 0, 0, 1]))
+        self.calibrate(image_input, info(matrix=[200.0, 0, 80, 0, 200.0, 60, 0, 0, 1]))
         self.send(image_input, picture(1.0))
         camera = image_input.next(5).camera
         np.testing.assert_allclose(camera.matrix, [[80, 0, 32], [0, 80, 24], [0, 0, 1]])
         level, text, _ = image_input.status()
         self.assertEqual(level, WARN)
-        self.assertIn("it is for 320x240 px by the principal point in K, but images are 64x48; the calibration is "
+        self.assertIn("it is for 160x120 px by the principal point in K, but images are 64x48; the calibration is "
                       "scaled", text)
 
     def test_an_image_without_stamp_has_the_time_of_its_arrival_however_late_it_is_taken(self):

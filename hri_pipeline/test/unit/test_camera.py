@@ -59,7 +59,7 @@ def test_region_of_interest_binning_and_size(left, top, width, height, across, d
 
 @pytest.mark.parametrize("told, measured", [
     ((1280, 720), (640, 360)), ((1920, 1080), (1280, 720)), ((640, 480), (1280, 960)), ((640, 360), (1920, 1080)),
-    ((1280, 720), (424, 239)), ((640, 480), (1024, 768))])
+    ((1280, 720), (424, 239)), ((640, 480), (1024, 768)), ((720, 1280), (1080, 1920)), ((800, 600), (480, 360))])
 @pytest.mark.parametrize("off", [(1.0, 1.0), (1.05, 0.96), (0.96, 1.03)])
 def test_a_matrix_of_another_resolution_is_known_by_its_middle(told, measured, off):
     """Calibrated at one resolution, and the driver gives another one."""
@@ -71,9 +71,15 @@ def test_a_matrix_of_another_resolution_is_known_by_its_middle(told, measured, o
     assert model.resized(*told).matrix[0, 0] == pytest.approx(0.8 * told[0])
 
 
-@pytest.mark.parametrize("middle", [(560, 400), (700, 330), (760, 360), (640, 480), (400, 360), (700, 120), (520, 470)])
+def test_a_resolution_that_no_camera_has_is_measured():
+    model = CameraModel.from_calibration(640, 480, [944, 0, 590, 0, 944, 442.5, 0, 0, 1], [], "", 1.0)
+    assert (model.width, model.height) == (1180, 885)
+
+
+@pytest.mark.parametrize("middle", [(560, 400), (700, 330), (760, 360), (640, 480), (400, 360), (700, 120), (520, 470),
+                                    (505, 285), (525, 294), (780, 440), (800, 464), (-60, 90), (1400, -20)])
 def test_a_matrix_whose_middle_is_off_is_of_its_resolution(middle):
-    """As of lenses that sit askew, shifted sensors, and rectified images."""
+    """As of lenses that sit askew, hasty calibrations, shifted and cut sensors, and rectified images."""
     model = CameraModel.from_calibration(1280, 720, [900, 0, middle[0], 0, 900, middle[1], 0, 0, 1], [], "", 1.0)
     assert (model.width, model.height) == (1280, 720)
 

@@ -28,10 +28,12 @@ _FOCAL_WIDTHS = (0.02, 500.0)
 _MAX_ASPECT = 10.0
 _MAX_OFF_CENTRE = 1.5
 _MAX_COEFFICIENT = 1e4
-# A middle so many times as far from the corner as that of the image is that of another resolution; how much the factors
-# across and down may differ in one shape of image; and how wide images of cameras are, px.
-_OTHER_SIZE, _SAME_SHAPE = 1.2, 1.15
-_WIDTHS = (160, 320, 424, 640, 800, 848, 960, 1024, 1280, 1600, 1920, 2048, 2560, 3840, 4096)
+# A middle so many times as far from the corner as that of the image, across and down, is that of another resolution: of
+# hasty calibrations it is off by 1.2 in the one or the other. How much these factors may differ in one shape of image;
+# longer sides of images of cameras, px, and how near it must be to one of them to be that.
+_OTHER_SIZE, _SAME_SHAPE = 1.3, 1.15
+_LONGER_SIDES = (160, 320, 424, 480, 640, 720, 800, 848, 960, 1024, 1280, 1440, 1600, 1920, 2048, 2560, 3840, 4096)
+_NEAR_SIDE = 1.08
 _MAX_SENSOR = 65536
 _ALIASES = {"": PLUMB_BOB, "fisheye": EQUIDISTANT}
 _HINT = "calibrate the camera, or publish an all-zero K to use the field of view parameter"
@@ -522,15 +524,22 @@ def _check_sensor(matrix: np.ndarray, width: int, height: int, roi: Tuple[int, i
 
 def _measured_size(matrix: np.ndarray, width: int, height: int) -> Tuple[int, int]:
     """Return the size of the images, px, in which K was measured: `width` and `height`, unless its principal point is
-    the middle of other ones of that shape. Raises CameraError where it is that of another shape."""
+    the middle of other ones of that shape. Raises CameraError where it is that of another shape.
+
+    One in a corner or beside the image, as of a cut part of the sensor, is the middle of none.
+    """
     across, down = 2.0 * matrix[0, 2] / width, 2.0 * matrix[1, 2] / height
-    if not (max(across, down) < 1.0 / _OTHER_SIZE or min(across, down) > _OTHER_SIZE):
+    if min(across, down) <= 0.0 or not (max(across, down) < 1.0 / _OTHER_SIZE or min(across, down) > _OTHER_SIZE):
         return width, height
-    if min(across, down) <= 0.0 or not 1.0 / _SAME_SHAPE < across / down < _SAME_SHAPE:
+    if not 1.0 / _SAME_SHAPE < across / down < _SAME_SHAPE:
         raise CameraError("the principal point in K, {:g}, {:g}, is far from the middle of {}x{} px, as of another "
-                          "resolution; {}".format(matrix[0, 2], matrix[1, 2], width, height, _HINT))
-    found = min(_WIDTHS, key=lambda known: abs(math.log(known / (across * down) ** 0.5 / width)))
-    return found, round(found * height / width)
+                          "resolution; calibrate this one, or tell a part of the sensor by roi; {}".format(
+                              matrix[0, 2], matrix[1, 2], width, height, _HINT))
+    longer = max(width, height)
+    found = math.sqrt(across * down) * longer
+    known = min(_LONGER_SIDES, key=lambda side: abs(math.log(side / found)))
+    scale = (known if abs(math.log(known / found)) < math.log(_NEAR_SIDE) else found) / longer
+    return round(scale * width), round(scale * height)
 
 
 def _without_zeros(model: str, distortion: np.ndarray) -> np.ndarray:

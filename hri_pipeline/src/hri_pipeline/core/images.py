@@ -387,7 +387,7 @@ _EMPTY, _FADED = 4.0, 0.25
 below which it does so all at once: a wall with somebody far away before it is as smooth."""
 _LONGEST_BLANK = 3.0
 """Time (s) after which pictures of nothing are a scene of their own."""
-_LONGEST_FLAW = 0.3
+LONGEST_FLAW = 0.3
 """Time (s) for which images that are damaged, or of another scene, are passed over: after that they are the scene."""
 _FLAT_BY, _FLAT_PART, _EXPOSED = 1.0, 0.15, (5.0, 250.0)
 """Grey values by which the pixels of a row differ where nothing was received, part of the rows of which this is so all
@@ -448,12 +448,12 @@ class PictureCuts:
         passed = stamp - self.shown_at if self._last is not None else math.inf
         is_empty = 0.0 <= passed <= _LONGEST_BLANK and contrast < min(_EMPTY, _FADED * self._contrast)
         self._was_empty |= is_empty
-        self.blank = is_empty or (0.0 < passed <= _LONGEST_FLAW and flat - self._flat > _FLAT_PART * _SIDE)
+        self.blank = is_empty or (0.0 < passed <= LONGEST_FLAW and flat - self._flat > _FLAT_PART * _SIDE)
         if self.blank:
             self.changed = False
             return False
         is_cut = self._is_cut(small, contrast, _CUT_IN_BLANK if self._was_empty else _CUT)
-        if is_cut and not self._was_empty and not self._is_doubted and 0.0 < passed <= _LONGEST_FLAW:
+        if is_cut and not self._was_empty and not self._is_doubted and 0.0 < passed <= LONGEST_FLAW:
             self.blank = self._is_doubted = True
             self.changed = False
             return False

@@ -509,7 +509,7 @@ class CameraInfoInput:
         ratio = (camera.width / camera.height) / (width / height)
         sizes = "{}: it is for {}x{} px{}, but images are {}x{}".format(
             self.topic, camera.width, camera.height,
-            " by the principal point in K" if (info.width, info.height) == (width, height)
+            " by the principal point in K" if (info.width or width, info.height or height) == (width, height)
             and max(info.binning_x, info.binning_y) < 2 else "", width, height)
         if abs(ratio - 1.0) > ASPECT_TOLERANCE:
             return fallback, "{}, another shape; calibrate this resolution; {}".format(sizes, self._hint)

@@ -185,6 +185,9 @@ _EDGE = 0.15                # body sizes from the side of the image, within whic
 # A body slower than this (sizes per second) stays where it was: what seems to move a little is the network's noise, and
 # a window that follows it would drift away.
 _STILL = 0.25
+_FAST = 1.0                 # body sizes per second from which a body counts as fast
+_NEWBORN_WEIGHT, _HIDDEN_WEIGHT = 3.0, 0.4
+_UNCERTAIN = 0.9            # score below which a body is uncertain
 
 
 class BodyTrack:
@@ -381,6 +384,16 @@ class BodyTrack:
     def waits(self, stamp: float) -> bool:
         """Tell whether the body is not seen, and expected where it was hidden."""
         return self.hidden and not self.visible and not self.dead(stamp)
+
+    def urgency(self, largest: float) -> float:
+        """Weight of the body's inferences: 1 at rest, more for one that is new, moves, is near or uncertain; less for a
+        hidden one. largest: size of the largest body in the image, px."""
+        if not self.life.confirmed:
+            return _NEWBORN_WEIGHT
+        if not self.visible:
+            return _HIDDEN_WEIGHT
+        return (1.0 + min(self.motion.speed() / _FAST, 1.0) + 0.5 * min(1.0, self.motion.size / largest)
+                + (0.5 if self.estimate.score < _UNCERTAIN else 0.0))
 
     def judge_hidden(self, stamp: float, width: float, blank: bool = False) -> None:
         """Note whether a body that was missed has left at a side of an image of `width` px, where who stands half in is

@@ -64,9 +64,6 @@ _DESCRIBE_S = 0.4
 # in photographs of people that were cut, covered, darkened or shrunk 35 are, of 11 in a flag none.
 _MIRRORED_WINDOWS = (1.0, 0.85, 1.18)
 _LEAST_INSIDE = 0.25    # of the box of the landmarks that are seen: what lies outside the image is made up
-_FAST = 1.0             # body sizes per second from which a body counts as fast
-_NEWBORN_WEIGHT, _HIDDEN_WEIGHT = 3.0, 0.4
-_UNCERTAIN = 0.9        # score below which a body is uncertain
 _STALE_S = 0.5          # after a cut of the picture, faces of before it may still be told for so long
 _LONGEST_BLANK = 0.3    # s of images of nothing, after which place tells too little of who is who in a crowd
 SLOW_S = 0.25
@@ -97,9 +94,8 @@ class BodyTracker:
         ranges.
         """
         if max_bodies < 1 or max_retries < 0:
-            raise ValueError(
-                "max_bodies is {} (1 and more), max_retries {} (0 and more)".format(max_bodies, max_retries)
-            )
+            raise ValueError("max_bodies is {} (1 and more), max_retries {} (0 and more)".format(
+                max_bodies, max_retries))
         self._pose = pose
         self._new_id = new_id
         self._max_bodies, self._max_retries = max_bodies, max_retries
@@ -226,7 +222,7 @@ class BodyTracker:
         waiting = {track.id: track for track in self.tracks if stamp > track.inferred_at}
         largest = max([1.0] + [track.motion.size for track in self.tracks])
         chosen = self.schedule.choose(
-            [Request(name, urgency(track, largest)) for name, track in waiting.items()], stamp, reserved)
+            [Request(name, track.urgency(largest)) for name, track in waiting.items()], stamp, reserved)
         wait = self.schedule.wait(len(self.tracks))
         for track in self.tracks:
             track.wait = wait
@@ -595,17 +591,6 @@ class BodyTracker:
         cost = np.array([[face.distance(track.estimate.nose) for face in free] for track in tracks])
         for row, column in assign(cost.reshape(len(tracks), len(free)), NOSE_IN_FACE):
             tracks[row].link(free[column], stamp)
-
-
-def urgency(track: BodyTrack, largest: float) -> float:
-    """Weight of a body's inferences: 1 at rest, more for one that is new, moves, is near or uncertain; less for a
-    hidden one. largest: size of the largest body in the image, px."""
-    if not track.life.confirmed:
-        return _NEWBORN_WEIGHT
-    if not track.visible:
-        return _HIDDEN_WEIGHT
-    return (1.0 + min(track.motion.speed() / _FAST, 1.0) + 0.5 * min(1.0, track.motion.size / largest)
-            + (0.5 if track.estimate.score < _UNCERTAIN else 0.0))
 
 
 def _at_one_place(a: PoseEstimate, b: PoseEstimate) -> bool:

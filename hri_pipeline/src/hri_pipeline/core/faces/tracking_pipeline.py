@@ -34,7 +34,7 @@ from hri_pipeline.core.faces.track import LEAST_VERIFICATION, VERIFIED, FaceMeas
 from hri_pipeline.core.faces.tracker import FaceTracker, explains, is_same_or_part
 from hri_pipeline.core.ignored_regions import IgnoredRegions
 from hri_pipeline.core.image_rotation import FaceOrientation, ImageRotation
-from hri_pipeline.core.images import PictureCuts
+from hri_pipeline.core.images import LONGEST_FLAW, PictureCuts
 from hri_pipeline.core.person_detector import PersonDetector
 from hri_pipeline.core.process import ONE_THREAD, Threads
 from hri_pipeline.core.scheduler import IdleShare, InferenceScheduler, Request
@@ -144,7 +144,7 @@ class FaceTrackingPipeline:
     def _set_thresholds(self, settings: FacePipelineSettings) -> None:
         self._min_score, self._min_presence = settings.min_detection_score, settings.min_face_presence
         self._detection_age = _DETECTION_AGE * settings.face_support_time
-        self._longest_dark = DARK_PATIENCE * settings.face_death_time
+        self._longest_dark = max(DARK_PATIENCE * settings.face_death_time, LONGEST_FLAW)
         self._detector.set_min_score(RECALL_RATIO * self._min_score)
 
     @property
