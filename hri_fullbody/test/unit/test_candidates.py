@@ -193,6 +193,20 @@ def test_a_box_without_a_body_has_one_window_for_a_while():
         assert len(tried(queue, lambda sides: 0.1)[0]) == windows
 
 
+def test_in_slow_images_a_box_that_shows_nobody_lets_the_others_go_first():
+    """With one inference between two calls of the detector the first box would be tried for ever."""
+    queue, looked_at = CandidateQueue(), []
+    for stamp in np.arange(8.0):
+        queue.offer_boxes([BOX, AWAY], [], [BOX, AWAY], stamp)
+        candidate = queue.take()
+        looked_at.append(candidate.box is AWAY)
+        if candidate.judge(estimate(0.1), None, 0.5).failed:
+            queue.give_up(None, stamp, candidate.box if candidate.alone else None)
+        else:
+            queue.put_back(candidate)
+    assert any(looked_at)
+
+
 @pytest.mark.parametrize("score, attempt", [(0.1, 1), (0.7, 0)])
 def test_what_has_begun_goes_on_when_the_detector_finds_the_box_again(score, attempt):
     queue = offered([])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hri_fullbody.core.filtering import FilterSettings, KeypointFilter
+from hri_pipeline.core.image_rotation import ImageRotation
 
 RATE = 30.0
 WRIST = 4
@@ -158,3 +159,60 @@ def test_more_agility_trembles_more(still: np.ndarray) -> None:
         for process_noise_scale in (0.3, 10.0)
     )
     assert calm < 0.6 * agile
+
+
+def test_who_walks_out_from_behind_a_counter_keeps_the_points_that_were_seen(still: np.ndarray) -> None:
+    """What was hidden is seen again far from where it was: that is no common motion of the body."""
+    points = still + np.linspace([0.0, 0.0, 0.0], [2.0, 0.0, 0.0], 60)[:, None]
+    points[5:50, [3, 4, *range(6, 14)]] = np.nan
+    filtered = run(points, KeypointFilter())
+    assert np.isfinite(filtered[50:]).all()
+
+
+def test_who_leaves_is_forgotten_and_nobody_else(still: np.ndarray) -> None:
+    keypoint_filter, away = KeypointFilter(), still + [0.0, 0.0, 1.0]
+    away[WRIST, 0] += 0.6
+    for number in range(10):
+        keypoint_filter.update(["a", "b"], np.stack([still, still]), number / RATE)
+    keypoint_filter.update(["c"], still[None], 9.5 / RATE)
+    keypoint_filter.retain(["b", "c"])
+    smooth = keypoint_filter.update(["a", "b", "c"], np.stack([away, away, away]), 10.0 / RATE).smooth
+    assert np.allclose(smooth[0], away), "somebody new"
+    assert np.isnan(smooth[1:, WRIST]).all() and np.isfinite(np.delete(smooth[1:], WRIST, axis=1)).all()
+
+
+def test_a_body_of_an_image_that_is_known_changes_no_other_one(still: np.ndarray) -> None:
+    keypoint_filter = KeypointFilter()
+    for number in range(10):
+        first = keypoint_filter.update(["a"], still[None] + 0.01 * number, number / RATE).smooth
+    both = keypoint_filter.update(["a", "b"], np.stack([still + 0.5, still]), 9.0 / RATE).smooth
+    assert np.array_equal(both[0], first[0]) and np.array_equal(both[1], still)
+    assert np.array_equal(keypoint_filter.update(["b"], still[None] + 0.5, 9.0 / RATE).smooth[0], still)
+
+
+def test_an_outlier_that_comes_again_is_no_place_where_it_stayed(still: np.ndarray) -> None:
+    points = np.tile(still, (50, 1, 1))
+    points[10::10, WRIST, 2] += 0.6
+    assert np.isnan(run(points, KeypointFilter())[10::10, WRIST]).all()
+
+
+def test_who_was_away_for_a_while_is_no_noise(still: np.ndarray) -> None:
+    noise = np.random.default_rng(5).normal(size=(80, 18, 3)) * 0.01
+    points, keypoint_filter, told = still + noise, KeypointFilter(), []
+    points[40:] += 1.0
+    for number, frame in enumerate(points):
+        stamp = number / RATE + (1.0 if number >= 40 else 0.0)
+        told.append(keypoint_filter.update(["a"], frame[None], stamp).noise[0])
+    assert np.max(told[30:]) < 0.015
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_a_turned_frame_is_no_motion(still: np.ndarray, quarters: int) -> None:
+    points = np.tile(still, (40, 1, 1)) + np.random.default_rng(6).normal(size=(40, 18, 3)) * [0.002, 0.02, 0.01]
+    keypoint_filter, rotation = KeypointFilter(), ImageRotation(quarters, 640, 480)
+    run(points, keypoint_filter)
+    before = keypoint_filter.update(["a"], still[None], 40.0 / RATE).noise[0]
+    keypoint_filter.turn(rotation)
+    found = keypoint_filter.update(["a"], rotation.vectors(still)[None], 41.0 / RATE)
+    assert np.abs(found.smooth[0] - rotation.vectors(still)).max() < 0.02
+    assert (found.noise[0][0] > found.noise[0][1]) == (quarters != 2) and before[0] < before[1]

@@ -23,6 +23,25 @@ def test_a_stretched_arm_held_still_points_after_half_a_second():
     assert found[-1].direction[2] < -0.8 and found[-1].direction[1] > 0.0     # to the camera, down
 
 
+@pytest.mark.parametrize("rate, seconds", [(4.0, 1.0), (5.0, 0.8), (8.0, 0.6), (30.0, 0.5)])
+def test_it_is_told_from_slow_cameras_too(rate, seconds):
+    found = told(AHEAD.seen(), seconds=2.0, rate=rate)
+    assert [pointing is not None for pointing in found].index(True) / rate <= seconds
+    assert None not in found[int(seconds * rate):]
+
+
+@pytest.mark.parametrize("rate, gap", [(30.0, 0.85), (15.0, 0.8)])
+def test_what_was_seen_before_a_gap_is_no_part_of_it(rate, gap):
+    """A camera of many images is no slow one where some are missing: the arm was anywhere in between."""
+    estimator, point = PointingEstimator(), AHEAD.seen()
+    for stamp in np.arange(int(rate)) / rate:
+        found = estimator.update(point, people.STATURE, stamp, people.UP)
+    assert found is not None
+    back = 1.0 - 1.0 / rate + gap + np.arange(int(0.5 * rate) + 1) / rate
+    told_again = [estimator.update(point, people.STATURE, stamp, people.UP) is not None for stamp in back]
+    assert told_again[-1] and not any(told_again[:int(0.3 * rate)]), told_again
+
+
 @pytest.mark.parametrize("pose", [
     people.standing(), people.raised("right"), people.crossed(), people.on_face(),
     people.standing().arm("left", (0.02, 0.02, 0.28), (0.04, 0.03, 0.54))],

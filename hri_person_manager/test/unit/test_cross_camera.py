@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
+from hri_person_manager.core.cross_camera import CrossCamera
 from hri_person_manager.core.features import Kind, MatchNode
 from hri_person_manager.core.location import Place, PlaceSource
 from hri_person_manager.core.manager import PersonManager
@@ -115,6 +116,16 @@ def test_one_human_in_two_views_is_one_person():
     assert aliases == list(room.tracked)
     room.run(20.0, standing(3.0))
     assert len(room.tracked) == 1 and len(set(room.ids[60:])) == 1
+
+
+def test_a_threshold_that_is_changed_parts_nobody_whom_two_cameras_see():
+    room = Room(OVERLAPPING)
+    room.run(4.0, standing(3.0))
+    for threshold in (0.95, 0.3):
+        room.manager.reconfigure(PERSON_MANAGER_PARAMETERS.resolve({"match_threshold": threshold}), room.now)
+        room.run(1.0, standing(3.0))
+        assert len(room.tracked) == 1
+        assert [likelihood >= threshold for _, _, likelihood in room.manager.merges] == [True]
 
 
 def colours(top, trousers=60.0, light=0.0, tint=0.0):
@@ -618,6 +629,10 @@ def test_cameras_and_names_are_bounded():
     tracks = [groups.track(feature, feature.id) for feature in faces]
     assert None not in tracks[:-1] and tracks[-1] is None
     assert groups.track(faces[0], "f0") is tracks[0] is not groups.track(faces[0], "f1")
+    cameras = CrossCamera(0.5, 1.0, 3.0)
+    for feature in faces:
+        cameras.add_place(feature, 0, feature.id, np.array([1.0, 0.0, 1.6]), np.eye(3), None, 1.0)
+    assert cameras.fused(faces[-1], 1.0) is None, "one camera too many is left out"
     for number in range(MAX_NAMES + 5):
         for name in ("first", "p%d" % number):
             groups.note_namer(name, "eyes")

@@ -7,7 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hri_person_manager.core.location import LONGEST_STEP, CoastingMotion, Decay, PersonLocation, Place, PlaceSource
+from hri_person_manager.core.location import (
+    LONGEST_STEP,
+    CoastingMotion,
+    Decay,
+    FaceBodyTransition,
+    PersonLocation,
+    Place,
+    PlaceSource,
+)
 from hri_person_manager.core.persons import PersonState
 from hri_pipeline.core.geometry import Pose
 
@@ -202,6 +210,74 @@ def face_and_body(last_body=1.0):
     return location
 
 
+def both_seen(until=1.0, face=0.0, body=-0.2, rate=10.0, of="b"):
+    """A face and a body at these x (m) of `map`, seen together until a time (s)."""
+    transition = FaceBodyTransition()
+    for stamp in (np.arange(0, int(until * rate) + 1) / rate).tolist():
+        transition.face("map", np.array([face, 0.0, 0.0]), stamp)
+        transition.body("map", np.array([body, 0.0, 0.0]), stamp, of)
+    return transition
+
+
+def shift(transition, stamp, of="b", x=-0.2):
+    return transition.shifted(place(x, stamp), of).pose.translation[0] - x
+
+
+def test_half_of_the_step_from_body_to_face_is_given_up_each_second_however_often_it_is_seen():
+    for rate in (2.0, 5.0, 20.0):
+        transition = both_seen()
+        shifts = [shift(transition, 1.0 + number / rate) for number in range(1, int(2.0 * rate) + 1)]
+        assert shifts[int(rate) - 1] == pytest.approx(0.1) and shifts[-1] == pytest.approx(0.05)
+        transition.face("map", np.zeros(3), 3.1)
+        assert shift(transition, 3.1 + 1e-6) == pytest.approx(0.2, abs=1e-3), "the face was there again"
+
+
+def test_a_step_is_of_one_body_in_one_frame():
+    transition = both_seen()
+    assert shift(transition, 1.5, of="another") == 0.0
+    transition.body("map", np.array([0.4, 0.0, 0.0]), 1.0, "another")
+    assert shift(transition, 1.0 + 1e-6, of="another", x=0.4) == pytest.approx(-0.4, abs=1e-3), "not a mean of both"
+    transition = FaceBodyTransition()
+    transition.face("camera", np.array([0.9, 0.0, 0.0]), 1.0)
+    transition.face("map", np.array([0.0, 0.0, 0.0]), 1.1)
+    transition.body("map", np.array([-0.2, 0.0, 0.0]), 1.05, "b")
+    assert shift(transition, 1.1 + 1e-6) == pytest.approx(0.2, abs=1e-3), "the face was in another frame before"
+    transition.face("camera", np.array([0.9, 0.0, 0.0]), 1.2)
+    transition.body("map", np.array([-0.2, 0.0, 0.0]), 1.2, "b")
+    assert shift(transition, 1.3) == 0.0
+
+
+def test_a_body_waits_for_three_images_of_the_face_once_both_were_seen():
+    alone, cleared, paused = FaceBodyTransition(), both_seen(), both_seen()
+    for number in range(200):
+        alone.face("map", np.zeros(3), 0.1 * number)
+    alone.body("map", np.zeros(3), 5.0, "b")        # 15 s late
+    cleared.clear()
+    for stamp in (6.0, 6.1):
+        paused.face("map", np.zeros(3), stamp)
+    assert [known.patience(1.0) for known in (FaceBodyTransition(), alone, cleared)] == [1.0, 1.0, 1.0]
+    assert paused.patience(1.0) == pytest.approx(0.3) and paused.patience(0.2) == 0.2
+
+
+def test_who_is_forgotten_or_leaves_has_left_nothing():
+    location = PersonLocation(0.5, coast_time=1.0)
+    for number in range(10):
+        location.offer(PlaceSource.FACE, place(0.1 * number, 0.1 * number), 0.1 * number, "f")
+        location.offer(PlaceSource.HEAD, place(0.1 * number - 0.2, 0.1 * number), 0.1 * number, "b")
+    location.retain(("f", ), 0.95)
+    assert not location.offer(PlaceSource.HEAD, place(0.75, 0.95), 0.95, "b"), "the face is there"
+    assert not location.offer(PlaceSource.VOICE, place(5.0, 0.95), 0.95, "v")
+    location.retain((), 1.0)
+    assert 0.9 < location.confidence(1.0, Decay()) < 1.0 and location.confidence(6.1, Decay()) < 0.5
+    location.offer(PlaceSource.FACE, place(1.0, 1.0), 1.0, "f")
+    location.clear()
+    assert location.place is None and location.expected(1.0) is None and location.confidence(1.0, Decay()) == 0.0
+    assert location.offer(PlaceSource.VOICE, place(3.0, 1.0), 1.0, "v")
+    assert location.offer(PlaceSource.HEAD, place(3.0, 1.1), 1.1, "b"), "no face is there any more"
+    assert location.place.pose.translation[0] == 3.0
+    assert location.expected(1.5).pose.translation[0] == pytest.approx(3.0)
+
+
 def test_one_image_says_little_of_how_far_the_face_is_from_the_body():
     location = face_and_body(last_body=1.3)
     assert location.offer(PlaceSource.HEAD, place(1.0, 1.6), 1.6, "b")
@@ -279,6 +355,34 @@ def test_the_newer_place_is_inherited():
     assert older.place.pose.translation[0] == 2.0
 
 
+@pytest.mark.parametrize("own, at, other, other_at, taken", [
+    (PlaceSource.FACE, 10.0, PlaceSource.VOICE, 10.2, False), (PlaceSource.VOICE, 10.2, PlaceSource.FACE, 10.0, True),
+    (PlaceSource.FACE, 10.0, PlaceSource.BODY, 10.8, True), (PlaceSource.BODY, 10.8, PlaceSource.FACE, 10.0, False),
+    (PlaceSource.FACE, 10.0, PlaceSource.FACE, 9.9, False), (PlaceSource.FACE, 9.9, PlaceSource.FACE, 10.0, True),
+    (PlaceSource.VOICE, 10.0, None, 0.0, False), (None, 0.0, PlaceSource.FACE, 10.0, True)])
+def test_of_two_who_are_one_the_better_place_counts_unless_it_is_old(own, at, other, other_at, taken):
+    one, two = PersonLocation(0.5), PersonLocation(0.5)
+    if own is not None:
+        one.offer(own, place(1.0, at), at, "own")
+    if other is not None:
+        two.offer(other, place(2.0, other_at), other_at, "other")
+    one.inherit(two)
+    assert one.place.pose.translation[0] == (2.0 if taken else 1.0)
+    assert one.confidence(max(at, other_at) + 0.9, Decay()) == 1.0
+    seen = PlaceSource.VOICE not in (own, other) or PlaceSource.FACE in (own, other)
+    assert one.offer(PlaceSource.VOICE, place(5.0, 12.0), 12.0, "v") != seen
+
+
+def test_who_was_lost_is_as_sure_as_the_last_of_both_was():
+    one, two = PersonLocation(0.5), PersonLocation(0.5)
+    one.offer(PlaceSource.FACE, place(1.0, 5.0), 5.0, "own")
+    two.offer(PlaceSource.FACE, place(2.0, 10.0), 10.0, "other")
+    for location in (one, two):
+        location.retain((), 10.2)
+    one.inherit(two)
+    assert one.confidence(10.3, Decay()) > 0.9
+
+
 def test_the_face_of_two_who_are_one_goes_on_beside_the_body_of_the_other():
     body, face = PersonLocation(0.5), PersonLocation(0.5)
     face.offer(PlaceSource.FACE, place(2.0, 11.0), 11.0, "f")
@@ -309,6 +413,22 @@ def test_a_lost_person_goes_on_and_comes_to_rest():
     location, last = moving(2.0)
     way = [location.expected(last + elapsed).pose.translation[0] - last for elapsed in (0.0, 0.1, 1.0, 2.0, 60.0)]
     assert way[0] == 0.0 and 0.07 < way[1] < 0.1 and 0.6 < way[2] < 0.75 and 0.8 < way[3] <= 1.0 and way[4] == way[3]
+
+
+def test_a_place_that_is_told_twice_tells_no_other_velocity():
+    once, twice = CoastingMotion(1.0), CoastingMotion(1.0)
+    for number in range(10):
+        once.see(place(0.1 * number, 0.1 * number))
+        for _ in range(2):
+            twice.see(place(0.1 * number, 0.1 * number))
+    assert twice.velocity[0] == once.velocity[0] > 0.7
+
+
+def test_in_the_frame_of_a_camera_the_floor_is_x_and_z():
+    seen = Place("head_link", Pose(np.eye(3), np.array([1.0, 2.0, 3.0])), 0.0, covariance=np.diag([4.0, 5.0, 6.0]))
+    assert seen.horizontal == (1.0, 2.0) and np.array_equal(seen.horizontal_covariance, np.diag([4.0, 5.0]))
+    seen = replace(seen, of_camera=True)
+    assert seen.horizontal == (1.0, 3.0) and np.array_equal(seen.horizontal_covariance, np.diag([4.0, 6.0]))
 
 
 def test_a_jump_of_the_measurement_is_no_velocity():

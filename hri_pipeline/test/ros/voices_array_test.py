@@ -98,6 +98,25 @@ class VoicesArrayTest(unittest.TestCase):
         azimuths = np.degrees(np.arctan2(places[:, 1], places[:, 0]))
         self.assertLess(np.abs(azimuths - 60.0).max(), 10.0, azimuths)
 
+    def test_a_microphone_that_works_again_interrupts_nobody(self):
+        """It counts again 10 s later, in the middle of a voice, which began anew."""
+        talk = np.tile(speech()[RATE // 2:-2 * RATE], 8)
+        sound = from_direction(POSITIONS, np.concatenate([noise(4.0, 0.01), talk, noise(8.0, 0.01)]), 1.0)
+        sound[:5 * RATE, 2] = np.random.default_rng(4).normal(0.0, 1e-4, 5 * RATE)
+        self.assertGreater(len(talk), 13 * RATE)
+        self.microphone.play(sound)
+        wait_for(lambda: self.broken() == "1", LIMIT, "it is left out")
+        wait_for(lambda: self.lists[-1].ids, LIMIT, "a voice is tracked")
+        wait_for(lambda: self.broken() == "0", LIMIT, "it is taken up")
+        self.assertEqual(len(self.said), 1, "one person speaks without a pause")
+        self.assertEqual(self.lists[-1].ids, [])
+
+    def broken(self):
+        """Return how many microphones are left out, by the newest diagnostics that tell it."""
+        values = [pair.value for message in list(self.states) for status in message.status for pair in status.values
+                  if pair.key == "broken_microphones"]
+        return values[-1] if values else ""
+
 
 if __name__ == "__main__":
     rospy.init_node("voices_array_test")

@@ -67,6 +67,21 @@ def test_a_high_voice_is_found_by_a_level_array_at_its_azimuth():
     assert angle(found[0].direction, towards(60.0)) < 1.5
 
 
+def test_a_voice_that_has_ended_is_heard_nowhere():
+    sound = heard(towards(40.0), SQUARE)
+    assert peaks(sound, SQUARE)
+    assert not peaks(np.concatenate([sound, noise(16000, 4)]), SQUARE)
+
+
+def test_no_more_peaks_are_told_than_asked_for_and_the_strongest_first():
+    lead = np.zeros(4800)
+    sound = sum(level * plane_wave(np.concatenate([lead, babble(0.8, seed)]), SQUARE, towards(azimuth))
+                for seed, azimuth, level in ((1, 20.0, 0.5), (2, 140.0, 1.0))) + noise(17600, 4)
+    two, one = peaks(sound, SQUARE), peaks(sound, SQUARE, 1)
+    assert len(two) >= 2 and len(one) == 1 and np.array_equal(one[0].direction, two[0].direction)
+    assert [peak.strength for peak in two] == sorted((peak.strength for peak in two), reverse=True)
+
+
 def test_two_voices_are_two_peaks():
     lead = np.zeros(4800)
     sound = sum(plane_wave(np.concatenate([lead, babble(0.8, seed)]), SQUARE, towards(azimuth))

@@ -417,6 +417,33 @@ def test_a_loose_contact_is_broken_until_it_has_held_for_10_s():
     assert broken_at_the_end(sound[:12 * RATE]) == (1,) and broken_at_the_end(sound) == ()
 
 
+def test_a_knock_on_one_of_two_microphones_breaks_the_other_one_not():
+    random = np.random.default_rng(10)
+    sound = random.normal(0.0, 2e-3, (6 * RATE, 1)) + random.normal(0.0, 5e-4, (6 * RATE, 2))
+    sound[4 * RATE:4 * RATE + RATE // 10, 0] += random.normal(0.0, 0.3, RATE // 10)
+    assert broken_at_the_end(sound) == () and problem_of(sound, is_array=True) == ""
+    sound[:, 1] *= 0.01
+    assert broken_at_the_end(sound) == (1,)
+
+
+def test_in_silence_of_less_than_a_step_of_16_bits_no_microphone_is_broken():
+    """Some change by a step now and then, some do not; in speech all of them hear."""
+    random = np.random.default_rng(11)
+    sound = np.zeros((8 * RATE, 4))
+    sound[::1000, :2] = 1.0 / 32768.0
+    sound[5 * RATE:] += random.normal(0.0, 0.05, (3 * RATE, 1)) + random.normal(0.0, 0.01, (3 * RATE, 4))
+    stream = SoundStream(SoundFormat(4), is_array=True)
+    assert {block.broken for block in deliver(stream, sound)} == {()}
+
+
+def test_a_dead_microphone_stays_broken_in_silence():
+    random = np.random.default_rng(12)
+    sound = np.zeros((20 * RATE, 4))
+    sound[::1000, :3] = 1.0 / 32768.0
+    sound[:3 * RATE, :3] += random.normal(0.0, 0.05, (3 * RATE, 1)) + random.normal(0.0, 0.01, (3 * RATE, 3))
+    assert broken_at_the_end(sound) == (3,)
+
+
 def heard(sound, **options):
     """Return the mean over channels that comes out in the last two of three seconds, and what the stream complains
     of."""
@@ -442,6 +469,20 @@ def test_a_hum_against_the_phase_turns_no_speech_over():
     mixed, problem = heard(speech + hum * [1, -1])
     np.testing.assert_allclose(mixed, speech[RATE:RATE + len(mixed), 0], atol=1e-3)
     assert problem == ""
+
+
+def test_a_tone_that_turns_a_channel_over_leaves_the_speech_behind_it_alone():
+    """Of a beep of 860 Hz from the side microphones 20 cm apart hear the opposite; of speech something else each."""
+    random = np.random.default_rng(4)
+    beep = 0.2 * np.sin(2.0 * np.pi * 860.0 * np.arange(2 * RATE) / RATE)[:, None] * [1.0, -1.0]
+    speech = random.normal(0.0, 0.1, (2 * RATE, 2)) + 0.001
+    sound = np.concatenate([np.zeros((RATE, 2)), beep, np.zeros((RATE, 2)), speech]) + random.normal(
+        0.0, 1e-3, (6 * RATE, 2))
+    stream = SoundStream(SoundFormat(2))
+    deliver(stream, sound[:4 * RATE])
+    assert "inverted" in stream.problem(), "the beep"
+    deliver(stream, sound[4 * RATE:])
+    assert stream.problem() == ""
 
 
 @pytest.mark.parametrize("channels", [1, 2])

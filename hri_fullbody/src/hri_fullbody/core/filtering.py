@@ -258,10 +258,7 @@ class KeypointFilter:
         anew = ~((step > 0.0) & (step <= settings.memory))
         if anew.any():
             fresh = rows[anew]
-            self._last[fresh] = self._elsewhere[fresh] = np.nan
-            self._seen[fresh], self._elsewhere_since[fresh] = -np.inf, np.inf
-            self._velocity[fresh] = 0.0
-            self._raw[fresh] = np.nan
+            self._seen[fresh], self._raw[fresh] = -np.inf, np.nan
             step = np.where(anew, 1.0, step)
         points, restart = self._gate(rows, points, step, stamp)
         self._gated[rows], self._stamp[rows] = points, stamp
@@ -277,8 +274,9 @@ class KeypointFilter:
         last = self._last[rows]
         news = points - last
         ahead = self._velocity[rows] * np.minimum(since, _PREDICTION_S)
-        common = _common(news - ahead)
         known = since[..., 0] <= settings.memory
+        # What was hidden, as the half of somebody behind a counter, is seen again far from where it was.
+        common = _common(np.where(known[..., None], news - ahead, np.nan))
         gate = np.maximum(settings.gate, _GATE_SIGMAS * np.sqrt(self._variance[rows].mean(axis=1)))[:, None]
         speed = settings.gate_speed * _RELATIVE_SPEED
         limit = gate + speed * np.minimum(since[..., 0], _GATE_GROWS_S)

@@ -508,8 +508,6 @@ class PersonLocation:
             known = self._reports.get(key)
             self._reports[key] = report if known is None or report.arrived > known.arrived else known
         self._fresh_until = max(self._fresh_until, other._fresh_until)
-        if other.place is None:
-            return
         newer_by = other.updated - self.updated
         worth, own = other._active[0], self._active[0]
         if worth < own if worth != own and abs(newer_by) <= self._source_timeout else newer_by > 0.0:

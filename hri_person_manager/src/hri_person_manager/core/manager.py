@@ -437,8 +437,7 @@ class PersonManager:
             self._associate(now)
         changed = False
         for link in self._cameras.links(self._owner_id, self._table.persons):
-            likelihood = max(link.likelihood, self._threshold) if link.likelihood > 0.0 else 0.0
-            changed |= self._merges.set_observed(link.first, link.second, likelihood)
+            changed |= self._merges.set_observed(link.first, link.second, link.likelihood)
         return changed
 
     def _hold(self, now: float, due: FrozenSet[MatchNode] = frozenset()) -> None:

@@ -36,11 +36,11 @@ class ChangeLimit:
         one counts, unless they were let through sooner: a name that is withdrawn after that counts, too."""
         for key in keys:
             count, most = self._count(key, now), MOST_CHANGES + (MORE_CHANGES if key in self._sooner else 0.0)
-            self._spent[key] = max(count, min(count, most) + 1.0), now
+            self._spent[key] = min(count, most) + 1.0, now
 
     def holds(self, keys: Keys, now: float) -> bool:
         """Tell whether a match about these may change nothing at `now` (s); due() names them when it may."""
-        if not self._spent or not self._is_spent(keys, now):
+        if not self._is_spent(keys, now):
             return False
         self._waiting.setdefault(keys, (None, now))
         return True
@@ -94,9 +94,9 @@ class Merges:
 
     @property
     def observed(self) -> Tuple[Tuple[str, str, float], ...]:
-        """All pairs that are merged by observation, with their likelihoods."""
-        return tuple((min(pair), max(pair), likelihood) for pair, likelihood in self._observed.items()
-                     if self._is_joined(pair))
+        """All pairs that are merged by observation, with their likelihoods, from the threshold on."""
+        return tuple((min(pair), max(pair), max(likelihood, self.threshold))
+                     for pair, likelihood in self._observed.items() if self._is_joined(pair))
 
     def set(self, first: str, second: str, likelihood: float) -> bool:
         """Keep a likelihood, 0 withdraws it; return whether who is joined with whom may have changed.
@@ -141,7 +141,8 @@ class Merges:
     def set_observed(self, first: str, second: str, likelihood: float) -> bool:
         """Keep an observed likelihood, 0 withdraws it; return whether who is joined with whom may have changed.
 
-        What was reported of the pair has priority. Raises ValueError for a person and itself.
+        What is observed joins, whatever the threshold is; what was reported of the pair has priority. Raises ValueError
+        for a person and itself.
         """
         pair = _pair(first, second)
         before = self._is_joined(pair)
@@ -150,7 +151,8 @@ class Merges:
             self._observed[pair] = likelihood
         changed = before != self._is_joined(pair)
         while len(self._observed) > MAX_MERGES:
-            changed |= self._observed.popitem(last=False)[1] >= self.threshold
+            self._observed.popitem(last=False)
+            changed = True
         return changed
 
     def prefer(self, person_id: str) -> None:
@@ -231,7 +233,7 @@ class Merges:
     def _is_joined(self, pair: Pair) -> bool:
         if pair in self._pairs:
             return self._pairs[pair] >= self.threshold
-        return pair not in self._split and self._observed.get(pair, 0.0) >= self.threshold
+        return pair not in self._split and pair in self._observed
 
     def _neighbours(self, present: Optional[Set[str]] = None) -> Dict[str, Set[str]]:
         """With whom each of the present persons (None: all) is joined."""

@@ -195,9 +195,12 @@ class VoiceProcessor:
     def process(self, block: SoundBlock) -> None:
         """Find the voices in a block and publish them."""
         channels = block.samples.shape[1]
-        if (channels, block.broken) != (self._channels, self._broken):
-            self._restart(channels, block.broken)
-        if block.broken:
+        broken = block.broken if len(self._positions) == channels else ()
+        # A microphone that works again is taken up when nobody is heard, whose voice would begin anew.
+        if channels != self._channels or not set(broken) <= set(self._broken) or (
+                broken != self._broken and not self._pipeline.tracked):
+            self._restart(channels, broken)
+        if self._broken:
             block = replace(block, samples=block.samples[:, self._working()])
         self._robot_input.update(rospy.get_time())
         observations = hear_humans(self._pipeline, self._robot, self._barge_in, block)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Deque, Mapping, Optional, Tuple
+from typing import Deque, List, Mapping, Optional, Tuple
 
 import numpy as np
 
@@ -25,6 +25,9 @@ _HAND = 0.108       # Drillis and Contini 1966
 # The ray has not turned by more than this, rad, between the halves of this time, s.
 _STILL, _HOLD_S = math.radians(6.0), 0.5
 _LEAST_SAMPLES, _LEAST_SHARE = 4, 0.8
+# Time that so many samples of a slow camera may take, by the least time between two of them: what was seen before a gap
+# of a fast one is no part of it.
+_LONGEST_HOLD_S, _HOLD_STEPS = 1.0, 4.5
 _WIDEST = math.radians(9.0)     # between the ray and a person who is meant
 # Standard deviation of that, and how likely it is that nobody is meant, against somebody right on the ray.
 _RAY_SD, _NOBODY = math.radians(5.0), 0.2
@@ -69,7 +72,7 @@ class PointingEstimator:
         best: Optional[Pointing] = None
         for rays, arm in zip(self._rays, _ARMS):
             ray = _ray(points, arm, stature, up)
-            while rays and not 0.0 <= stamp - rays[0][0] <= _HOLD_S + 1e-6:
+            while rays and not 0.0 <= stamp - rays[0][0] <= self._longest([at for at, _ in rays], stamp) + 1e-6:
                 rays.popleft()
             rays.append((stamp, None if ray is None else ray[1]))
             if ray is None:
@@ -78,6 +81,14 @@ class PointingEstimator:
             if found is not None and (best is None or found.confidence > best.confidence):
                 best = found
         return best
+
+    @staticmethod
+    def _longest(stamps: List[float], stamp: float) -> float:
+        """Return for how long (s) rays of these stamps count at a later one."""
+        if len(stamps) >= _LEAST_SAMPLES:
+            return _HOLD_S
+        step = min(after - before for before, after in zip(stamps, [*stamps[1:], stamp]))
+        return min(max(_HOLD_S, _HOLD_STEPS * step), _LONGEST_HOLD_S)
 
     @staticmethod
     def _held(origin: np.ndarray, rays: Deque[Tuple[float, Optional[np.ndarray]]]) -> Optional[Pointing]:

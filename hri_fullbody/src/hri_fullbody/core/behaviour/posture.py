@@ -224,7 +224,7 @@ def likely_posture(figure: Figure, up: Vector, up_sd: float) -> Optional[Posture
     if agreed == PostureClass.STANDING and named[agreed] < _STANDS and not vague:
         return PostureClass.OTHER
     folded = _is_folded(figure)
-    if up_sd <= _BALANCE and agreed is not None and not (folded and agreed in _LOW):
+    if up_sd <= _BALANCE and agreed is not None and not folded:
         return agreed
     if not named and not vague:
         return PostureClass.OTHER if votes.get(PostureClass.OTHER, 0.0) > 0.5 else None

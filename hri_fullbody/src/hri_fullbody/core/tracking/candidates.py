@@ -150,16 +150,18 @@ class CandidateQueue:
             if any(face_at_top(face, box) for face in faces):
                 continue
             known = _at(box, [place for _, place in waiting])
-            doubtful = number >= len(boxes)
-            alone = doubtful or (_at(box, failed) is None and all(
+            doubtful, in_vain = number >= len(boxes), _at(box, failed) is not None
+            alone = doubtful or (not in_vain and all(
                 max(inside(box, other), inside(other, box)) < _APART for other in others if other is not box))
             group = [other for other in (*others, *unsure) if beside(box, other)]
             accompanied = any(face_at_top(face, other) for other in group for face in faces)
-            offered.append(replace(BodyCandidate() if known is None else waiting[known][0], box=box, alone=alone,
-                                   unsure=doubtful, in_group=bool(group), accompanied=accompanied))
+            candidate = replace(BodyCandidate() if known is None else waiting[known][0], box=box, alone=alone,
+                                unsure=doubtful, in_group=bool(group), accompanied=accompanied)
+            offered.append((candidate, in_vain or candidate.looked))
         # In slow images there may be one inference between two calls of the detector: what has begun is finished, and
         # what was looked at in vain lets the others go first.
-        self._queue.extend(sorted(offered, key=lambda item: (item.unsure, item.first is None, item.looked)))
+        offered.sort(key=lambda one: (one[0].unsure, one[0].first is None, one[1]))
+        self._queue.extend(item for item, _ in offered)
 
     def take(self) -> Optional[BodyCandidate]:
         """Return the next candidate, None when there is none."""

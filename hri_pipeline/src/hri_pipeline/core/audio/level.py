@@ -31,8 +31,9 @@ _LEAST_POWER = 1e-8
 # An offset is taken from the sound from here on: half a step of 8 bits. The median of 2 s leaves bangs alone.
 _LEAST_OFFSET, _OFFSET_PIECES, _FIRST_PIECES = 0.002, 20, 5
 # Correlations of the last second at which a channel is turned over, and turned back: one plug of a balanced microphone
-# in a stereo socket gives -1, microphones in different places hardly less than 0.
-_OPPOSED, _AGREED, _OPPOSED_PIECES = -0.7, 0.3, 10
+# in a stereo socket gives -1, microphones in different places hardly less than 0 but for a tone. In sound so many times
+# as strong as the pauses, a channel that was turned over by a tone is turned back sooner.
+_OPPOSED, _AGREED, _OPPOSED_PIECES, _NOT_OPPOSED, _LOUD = -0.7, 0.3, 10, -0.5, 10.0
 # A microphone of an array hears nothing but its own noise where it is less like all others than this, louder than most,
 # and each of those is more alike than that to another.
 _UNLIKE, _ALIKE = 0.2, 0.5
@@ -53,9 +54,10 @@ def level_dbfs(samples: np.ndarray) -> float:
 
 
 class _Piece:
-    """Sums per channel over 0.1 s of sound (N, C). `power` is the mean over time and channels."""
+    """Sums per channel over 0.1 s of sound (N, C). `power` is the mean over time and channels; of the slopes where the
+    channels are `mixed`."""
 
-    def __init__(self, samples: np.ndarray) -> None:
+    def __init__(self, samples: np.ndarray, mixed: bool) -> None:
         self.count = len(samples)
         self.products = (samples.T @ samples).astype(np.float64)
         self.squares = self.products.diagonal()
@@ -73,8 +75,9 @@ class _Piece:
         self.below_peak = (size >= _BELOW_TOP * self.largest).sum(axis=0) - top.sum(axis=0)
         self.at_peak = (top[1:-1] & top[:-2] & top[2:]).sum(axis=0)
         # Of the slope, in which neither an offset nor a hum counts.
-        slope = np.diff(samples, axis=0) if samples.shape[1] > 1 else samples[:0]
+        slope = np.diff(samples, axis=0) if mixed else samples[:0]
         self.slopes = (slope.T @ slope).astype(np.float64)
+        self.slope_power = float(self.slopes.trace())
 
 
 class SoundLevel:
@@ -125,16 +128,16 @@ class SoundLevel:
         if self._held < self._size:
             return
         sound = np.concatenate(self._waiting)
-        whole = len(sound) // self._size * self._size
+        whole, mixed = len(sound) // self._size * self._size, self._channels > 1 and not self._is_array
         for start in range(0, whole, self._size):
-            self._pieces.append(_Piece(sound[start:start + self._size]))
+            self._pieces.append(_Piece(sound[start:start + self._size], mixed))
             self.clipped += self._pieces[-1].clipped
         # A copy, because a view would keep all of the sound in memory.
         self._waiting, self._held = [sound[whole:].copy()], len(sound) - whole
         self._find_offset()
         if self._is_array:
             self._find_broken(whole // self._size)
-        elif self._channels > 1:
+        elif mixed:
             self._find_signs()
 
     def corrected(self, samples: np.ndarray) -> np.ndarray:
@@ -166,8 +169,11 @@ class SoundLevel:
             return
         fresh, self._fresh = self._fresh, 0
         pieces = list(self._pieces)
-        constant = self._constant(pieces)
-        found = set(self._silent(pieces) + self._noisy(pieces) + (constant if len(constant) < self._channels else ()))
+        found, constant = set(self._silent(pieces) + self._noisy(pieces)), self._constant(pieces)
+        if len(constant) < self._channels:
+            # In silence of less than a step of 16 bits some microphones change and some do not.
+            is_heard = max(piece.power for piece in pieces[-_LEVEL_PIECES:]) >= _LEAST_POWER
+            found.update(index for index in constant if is_heard or index in self._faults)
         left = {index: left - fresh for index, left in self._faults.items() if left > fresh}
         self._faults = {**left, **{index: self._pieces.maxlen or 0 for index in found}}
 
@@ -178,7 +184,14 @@ class SoundLevel:
         loudest = int(np.argmax(power))
         alike = products[loudest] / np.sqrt(power * power[loudest])
         sign = self._signs[loudest]
-        self._signs = np.where(alike < _OPPOSED, -sign, np.where(alike > _AGREED, sign, self._signs)).astype(np.float32)
+        agreed = _NOT_OPPOSED if self._signs.min() < 0.0 and self._is_loud() else _AGREED
+        self._signs = np.where(alike < _OPPOSED, -sign, np.where(alike > agreed, sign, self._signs)).astype(np.float32)
+
+    def _is_loud(self) -> bool:
+        """Tell whether the last second is louder than the pauses, but for a hum."""
+        power = [piece.slope_power for piece in self._pieces]
+        pauses = sorted(power)[int(0.01 * _FLOOR_PERCENTILE * len(power))]      # np.percentile takes .1 % of a core
+        return sum(power[-_OPPOSED_PIECES:]) > _LOUD * _OPPOSED_PIECES * pauses
 
     def values(self) -> Dict[str, object]:
         """Return the values for diagnostics: levels in dBFS, shares in percent."""
@@ -328,6 +341,8 @@ class SoundLevel:
 
     def _silent(self, pieces: List[_Piece]) -> Tuple[int, ...]:
         """Return the indices of the channels that are much softer than most."""
+        if self._channels == 2:     # a knock on one makes the other one soft; of more the median tells
+            pieces = sorted(pieces, key=lambda piece: piece.power)[:max(len(pieces) - _LEVEL_PIECES, 0)]
         covariance = self._covariance(pieces)
         if covariance is None:
             return ()
