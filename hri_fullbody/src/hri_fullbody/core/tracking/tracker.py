@@ -156,8 +156,8 @@ class BodyTracker:
 
     def published(self, stamp: float) -> List[BodyTrack]:
         """Confirmed bodies that their last inference found (after a gap, the last two), not longer ago than the death
-        time or their turn takes; of slow images also those that it missed, and the one before did not. Those that may
-        lie on a hidden neighbour are silent; nobody is told of an image that is passed over (`is_blank`)."""
+        time or their turn takes; of slow images also those that only it missed. None that may lie on a hidden
+        neighbour, and none where the image is passed over (`is_blank`)."""
         if self.is_blank:
             return []
         return [track for track in self.tracks if track.confirmed and not track.mistaken
