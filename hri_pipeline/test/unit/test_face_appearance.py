@@ -23,6 +23,7 @@ from hri_pipeline.core.faces.mesh import MESH_POINTS
 from hri_pipeline.core.faces.track import FaceMeasurement
 from hri_pipeline.core.faces.tracker import FaceTracker
 from hri_pipeline.core.ids import IdGenerator
+from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.images import PictureCuts
 from hri_pipeline.core.recognition.embedding import face_chip
 
@@ -433,6 +434,16 @@ def test_light_that_burns_a_part_of_the_picture_white_or_black_damages_nothing(o
     image = view(1)
     image[:120] = np.clip(image[:120] + offset, 0, 255)
     assert not cuts.update(image, 1.1) and not cuts.blank
+
+
+def test_bars_at_the_sides_of_a_picture_damage_nothing_where_it_is_turned():
+    image = view(1)
+    image[:, :120], image[:, -120:] = 128, 128
+    cuts = PictureCuts()
+    cuts.update(image, 1.0)
+    rotation = ImageRotation(1, 640, 480)
+    cuts.turn(rotation)
+    assert not cuts.update(rotation.image(image), 1.1) and not cuts.blank
 
 
 @pytest.mark.parametrize("bars", [0.0, 128.0])

@@ -487,7 +487,9 @@ class PictureCuts:
 
     def turn(self, rotation: ImageRotation) -> None:
         """Turn the last image."""
-        self._last = None if self._last is None else rotation.image(self._last)
+        if self._last is not None:
+            self._last = rotation.image(self._last)
+            self._flat = _flat_rows(self._last)
 
     def reset(self) -> None:
         """Forget the last image."""
