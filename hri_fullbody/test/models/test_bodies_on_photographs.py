@@ -187,7 +187,7 @@ def test_people_without_faces_are_found_too(stages, number):
 @pytest.mark.parametrize("number", [2, 6])
 def test_the_network_sees_a_human_in_the_mirror_at_the_same_place(stages, number):
     image = photograph(number)
-    for _ in show(stages, [image] * 8):
+    for _ in show(stages, [image] * 20):
         pass
     network = BlazePose(models_directory() / "pose_landmarks_full.onnx")
     tracks = [track for track in stages[1]._tracker.tracks if track.confirmed and track.visible]
