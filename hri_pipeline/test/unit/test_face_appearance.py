@@ -380,7 +380,7 @@ def test_pictures_of_nothing_are_a_scene_of_their_own_after_three_seconds():
     cuts.update(view(1), 1.0)
     told = [(cuts.update(NOTHING["green"], stamp), cuts.blank) for stamp in (2.0, 4.0, 4.1, 4.2)]
     assert told == [(False, True), (False, True), (True, False), (False, False)]
-    assert not cuts.update(view(1), 4.3) and cuts.update(view(1), 4.4)
+    assert cuts.update(view(1), 4.3)
 
 
 def half_grey(image):
@@ -390,33 +390,11 @@ def half_grey(image):
     return image
 
 
-DAMAGED = {"shifted": np.roll(view(1), 213, axis=1)[::-1], "of another scene": view(2), "half": half_grey(view(1))}
-
-
-@pytest.mark.parametrize("damaged", sorted(DAMAGED))
-def test_a_single_image_that_shows_something_else_is_passed_over(damaged):
+def test_a_single_image_of_which_a_part_is_missing_is_passed_over():
     cuts = PictureCuts()
     told = [(cuts.update(image, 1.0 + 0.1 * step), cuts.blank) for step, image in enumerate(
-        [view(1), view(1), DAMAGED[damaged], view(1, (9, 0)), view(1), DAMAGED[damaged], view(1)])]
+        [view(1), view(1), half_grey(view(1)), view(1, (9, 0)), view(1), half_grey(view(1)), view(1)])]
     assert told == [(False, number in (2, 5)) for number in range(7)]
-
-
-@pytest.mark.parametrize("rate", [3.0, 10.0, 30.0])
-def test_a_cut_is_told_when_the_next_image_shows_it_too(rate):
-    cuts = PictureCuts()
-    told = [(cuts.update(image, 1.0 + step / rate), cuts.blank) for step, image in enumerate(
-        [view(1), view(1), view(2), view(2, (5, 0)), view(2)])]
-    cut = (True, False)
-    assert told[2:] == ([cut, (False, False), (False, False)] if rate < 3.3 else
-                        [(False, True), cut, (False, False)])
-
-
-def test_of_a_fast_turn_of_the_camera_only_the_first_image_is_passed_over():
-    cuts = PictureCuts()
-    told = [(cuts.update(view(number), 1.0 + 0.1 * step), cuts.blank) for step, number in enumerate(
-        (1, 1, 2, 3, 4, 5, 5, 1))]
-    cut = (True, False)
-    assert told[2:] == [(False, True), cut, cut, cut, (False, False), (False, True)]
 
 
 def test_half_images_are_a_scene_of_their_own_after_a_while():

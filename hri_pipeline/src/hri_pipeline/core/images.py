@@ -377,9 +377,6 @@ def _check_size(width: int, height: int) -> None:
 _SIDE = 48
 _MOST_MOTION = 0.25
 """Part of the picture by which it may move from one image to the next."""
-_AT_REST = 0.1
-"""Part of the picture by which it moves at most while something else in one image may be damage: where the camera turns
-fast it is what came into view."""
 _CUT = 0.5
 """Correlation of two pictures, moved against each other at best, below which they show something else."""
 _CUT_IN_BLANK = 0.8
@@ -391,7 +388,7 @@ below which it does so all at once: a wall with somebody far away before it is a
 _LONGEST_BLANK = 3.0
 """Time (s) after which pictures of nothing are a scene of their own."""
 LONGEST_FLAW = 0.3
-"""Time (s) for which images that are damaged, or of another scene, are passed over: after that they are the scene."""
+"""Time (s) for which damaged images are passed over: after that they are the scene."""
 _FLAT_BY, _FLAT_PART, _EXPOSED = 1.0, 0.15, (5.0, 250.0)
 """Grey values by which the pixels of a row differ where nothing was received, part of the rows of which this is so all
 at once, and grey values out of which light may do the same: between them a sensor has noise."""
@@ -425,24 +422,21 @@ class PictureCuts:
     or by people who walk before the same background.
 
     An image that suddenly shows nothing (no light, a covered lens, a broken image) is no cut: what comes after it is
-    compared with what was there before. So is one of which a part was not received, and one that shows something else
-    when the next one does not: cameras and networks damage images now and then. A cut is told with its second image,
-    but while the camera turns fast with its first.
+    compared with what was there before. So is one of which a part was not received. One that shows something else is a
+    cut at once, although cameras and networks send such images now and then: so does a camera that turns fast.
     """
 
     def __init__(self) -> None:
         self._last: Optional[np.ndarray] = None
         self._contrast = 0.0        # of the last image that showed something
         self._flat = 0              # rows of it that are of one colour
-        self._was_empty = self._is_doubted = False      # what the images were that were passed over since
-        self._shift = 0.0           # by which part it had moved when it came; infinite after a cut
+        self._was_empty = False     # an image that was passed over since
         self.shown_at = 0.0
         """Stamp (s) of that image."""
         self.changed = False
         """Whether most of the last image shows something else than the one before did there."""
         self.blank = False
-        """Whether the last image is to be passed over: it shows nothing, is damaged, or something else for the first
-        time."""
+        """Whether the last image is to be passed over: it shows nothing, or a part of it is missing."""
 
     def update(self, bgr: np.ndarray, stamp: float = 0.0) -> bool:
         """Return whether `bgr` (H, W, 3) uint8 of `stamp` (s) shows something else than the last image that showed
@@ -457,33 +451,25 @@ class PictureCuts:
         if self.blank:
             self.changed = False
             return False
-        is_cut, shift = self._compare(small, contrast, _CUT_IN_BLANK if self._was_empty else _CUT)
-        if (is_cut and not self._was_empty and not self._is_doubted and 0.0 < passed <= LONGEST_FLAW
-                and self._shift <= _AT_REST):
-            self.blank = self._is_doubted = True
-            self.changed = False
-            return False
-        self._was_empty = self._is_doubted = False
-        self._shift = math.inf if is_cut else shift
+        is_cut = self._is_cut(small, contrast, _CUT_IN_BLANK if self._was_empty else _CUT)
+        self._was_empty = False
         self._last, self._contrast, self._flat, self.shown_at = small, contrast, flat, stamp
         return is_cut
 
-    def _compare(self, small: np.ndarray, contrast: float, least: float) -> Tuple[bool, float]:
-        """Whether a small picture correlates with the last one by less than `least`, and by which part of it it has
-        moved; notes whether most has changed."""
+    def _is_cut(self, small: np.ndarray, contrast: float, least: float) -> bool:
+        """Whether a small picture correlates with the last one by less than `least`; notes whether most has changed."""
         last = self._last
         self.changed = last is not None and bool(
             np.count_nonzero(cv2.absdiff(small, last) < _STAYED_BY) < _STAYED * small.size)
         if last is None or not self.changed or max(self._contrast, contrast) < _EMPTY:
-            return False, 0.0
+            return False
         if min(self._contrast, contrast) < _FADED * _EMPTY:
-            return True, 0.0
+            return True
         margin = int(_SIDE * _MOST_MOTION)
         inner = small[margin:-margin, margin:-margin]
         if _deviation(inner) < _EMPTY:
-            return float(np.corrcoef(small.ravel(), last.ravel())[0, 1]) < least, 0.0
-        _, best, _, place = cv2.minMaxLoc(cv2.matchTemplate(last, inner, cv2.TM_CCOEFF_NORMED))
-        return best < least, max(abs(place[0] - margin), abs(place[1] - margin)) / _SIDE
+            return float(np.corrcoef(small.ravel(), last.ravel())[0, 1]) < least
+        return float(cv2.matchTemplate(last, inner, cv2.TM_CCOEFF_NORMED).max()) < least
 
     def turn(self, rotation: ImageRotation) -> None:
         """Turn the last image."""
@@ -493,8 +479,7 @@ class PictureCuts:
 
     def reset(self) -> None:
         """Forget the last image."""
-        self._last, self.blank = None, False
-        self._was_empty, self._is_doubted, self._shift = False, False, 0.0
+        self._last, self.blank, self._was_empty = None, False, False
 
     @staticmethod
     def _small(bgr: np.ndarray) -> np.ndarray:

@@ -230,7 +230,7 @@ class BodyTracker:
 
     @property
     def is_blank(self) -> bool:
-        """Whether the last image was passed over: it showed nothing, was damaged, or of another scene."""
+        """Whether the last image was passed over: it showed nothing, or a part of it was missing."""
         return self._cuts.blank
 
     @property
