@@ -311,29 +311,22 @@ class SoundLevel:
         if not self._is_array:
             signs = self._signs
         else:
-            alike = self._correlation(pieces)
-            if alike is None:
+            covariance = self._covariance(pieces)
+            if covariance is None:
                 return ()
+            alike = _correlation(covariance)
             usual = int(np.argmax(np.abs(alike).sum(axis=0)))
             signs = np.where(alike[usual] < _OPPOSED, -1.0, 1.0)
         fewer = signs < 0.0 if (signs < 0.0).sum() <= 0.5 * len(signs) else signs > 0.0
         return tuple(int(index) for index in np.flatnonzero(fewer))
 
-    def _correlation(self, pieces: List[_Piece]) -> Optional[np.ndarray]:
-        """Return the correlation (C, C) of the channels, None where there is no covariance."""
-        covariance = self._covariance(pieces)
-        if covariance is None:
-            return None
-        size = np.sqrt(np.maximum(covariance.diagonal(), 1e-30))
-        return covariance / np.outer(size, size)
-
     def _noisy(self, pieces: List[_Piece]) -> Tuple[int, ...]:
         """Return the index of the channel that hears noise of its own only, louder than most."""
-        correlation, covariance = self._correlation(pieces), self._covariance(pieces)
-        if correlation is None or covariance is None or self._channels < 3:
+        covariance = self._covariance(pieces) if self._channels > 2 else None
+        if covariance is None:
             return ()
         power = covariance.diagonal()
-        alike = np.abs(correlation) - np.eye(self._channels)
+        alike = np.abs(_correlation(covariance)) - np.eye(self._channels)
         index = int(np.argmin(alike.max(axis=0)))
         others = np.delete(np.delete(alike, index, 0), index, 1)
         is_noise = alike[index].max() < _UNLIKE and power[index] > np.median(power) > _LEAST_POWER
@@ -367,3 +360,9 @@ class SoundLevel:
     def _clipped_share(pieces: List[_Piece]) -> float:
         count = sum(piece.count for piece in pieces)
         return sum(piece.clipped for piece in pieces) / count if count else 0.0
+
+
+def _correlation(covariance: np.ndarray) -> np.ndarray:
+    """Return the correlation (C, C) of channels of this covariance."""
+    size = np.sqrt(np.maximum(covariance.diagonal(), 1e-30))
+    return covariance / np.outer(size, size)

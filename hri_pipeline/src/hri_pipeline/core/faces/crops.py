@@ -167,8 +167,7 @@ def judge_crop(points: np.ndarray, pose: Optional[Pose], crop: np.ndarray, prese
     facing = 0.5 if turned is None else _ramp(_PROFILE - turned, 0.0, _PROFILE - _FRONTAL)
     # A turned head has its eye corners closer together, without being smaller.
     size = eyes if turned is None else eyes / max(0.4, float(np.cos(turned)))
-    grey = cv2.cvtColor(cv2.resize(crop, (_JUDGED_SIZE, _JUDGED_SIZE), interpolation=cv2.INTER_AREA),
-                        cv2.COLOR_BGR2GRAY).astype(np.float32)
+    grey = _judged(crop)
     contrast = float(grey.std())
     sharpness = float(cv2.Laplacian(grey, cv2.CV_32F).std()) / max(contrast, 1.0) / 4.0
     parts = (_ramp(size, _USELESS_EYES, _GOOD_EYES), facing, _ramp(sharpness, _BLURRED, _SHARP),
@@ -221,11 +220,16 @@ class MotionBlur:
 def evenness(crop: np.ndarray) -> float:
     """Return the contrast of the details of a crop (S, S, 3) uint8 BGR in the direction with least of it, over that
     across it, 0 to 1: from the structure tensor (Foerstner and Guelch 1987)."""
-    grey = cv2.cvtColor(cv2.resize(crop, (_JUDGED_SIZE, _JUDGED_SIZE), interpolation=cv2.INTER_AREA),
-                        cv2.COLOR_BGR2GRAY).astype(np.float32)
+    grey = _judged(crop)
     xx, xy, yy = _structure(grey - cv2.GaussianBlur(grey, (0, 0), _DETAIL))
     mean, apart = 0.5 * (xx + yy), float(np.hypot(0.5 * (xx - yy), xy))
     return float(np.sqrt(max(0.0, mean - apart) / max(1e-6, mean + apart)))
+
+
+def _judged(crop: np.ndarray) -> np.ndarray:
+    """Return a crop (S, S, 3) uint8 BGR in grey, in the size in which crops are compared, float32."""
+    return cv2.cvtColor(cv2.resize(crop, (_JUDGED_SIZE, _JUDGED_SIZE), interpolation=cv2.INTER_AREA),
+                        cv2.COLOR_BGR2GRAY).astype(np.float32)
 
 
 def _structure(picture: np.ndarray) -> Tuple[float, float, float]:
@@ -238,8 +242,7 @@ def _structure(picture: np.ndarray) -> Tuple[float, float, float]:
 def features(crop: np.ndarray) -> Tuple[float, float, float]:
     """Return how much there is of eyes, nose and mouth in each direction of a crop (S, S, 3) uint8 BGR, for `smeared`:
     a structure tensor (xx, xy, yy). What is finer may be noise."""
-    grey = cv2.cvtColor(cv2.resize(crop, (_JUDGED_SIZE, _JUDGED_SIZE), interpolation=cv2.INTER_AREA),
-                        cv2.COLOR_BGR2GRAY).astype(np.float32)
+    grey = _judged(crop)
     fine, coarse = (cv2.GaussianBlur(grey, (0, 0), sigma) for sigma in _FEATURES)
     return _structure((fine - coarse)[_FEATURES_EDGE:-_FEATURES_EDGE, _FEATURES_EDGE:-_FEATURES_EDGE])
 
