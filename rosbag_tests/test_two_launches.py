@@ -44,9 +44,9 @@ class TwoLaunchesTest(unittest.TestCase):
         self.hear()
 
     def hear(self):
-        listener = rospy.Subscriber("/humans/interactions/gaze", GazesStamped,
-                                    lambda message: self.gazes.append(message.header))
-        self.addCleanup(listener.unregister)
+        self.listener = rospy.Subscriber("/humans/interactions/gaze", GazesStamped,
+                                         lambda message: self.gazes.append(message.header))
+        self.addCleanup(self.listener.unregister)
 
     def launch(self, *words, **variables):
         launch = Launch(*words, **variables)
@@ -59,8 +59,17 @@ class TwoLaunchesTest(unittest.TestCase):
         try:
             wait_for(lambda: self.gazes, "a list of gazes", 90.0)
         except AssertionError as error:
-            self.fail("{}\n{}".format(error, "".join(launch.lines[-30:])))
+            self.fail("{}\n{}\n{}".format(error, self.connections(), "".join(launch.lines[-30:])))
         return self.gazes[-1]
+
+    def connections(self):
+        """Who publishes and subscribes what, and how many of the publishers of gazes are connected here."""
+        publishers, subscribers, _ = rosgraph.Master("/two_launches").getSystemState()
+        return "connected to {} publishers of gazes\npublishers: {}\nsubscribers: {}".format(
+            self.listener.get_num_connections(),
+            *([(topic, nodes) for topic, nodes in topics if topic.startswith(("/humans/persons/tracked",
+                                                                             "/humans/interactions", "/tf"))]
+              for topics in (publishers, subscribers)))
 
     def left(self):
         """Parameters outside of the namespaces of nodes, apart from those of ROS itself."""
