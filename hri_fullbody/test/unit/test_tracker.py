@@ -49,11 +49,11 @@ def test_illegal_settings_are_refused(changes):
 
 def test_birth_needs_the_delay_and_not_a_number_of_images():
     tracker = make(Scene([(300, 400)]))
-    run(tracker, 0.0, 2, boxes=[box_of(300, 400)])
+    stamp = run(tracker, 0.0, 2, boxes=[box_of(300, 400)])
     assert len(tracker.tracks) == 1
-    assert confirmed(tracker) == []
-    run(tracker, 0.1, 2)
-    assert confirmed(tracker) == ["b0"]
+    assert confirmed(tracker) == [] == tracker.published(stamp - STEP)
+    stamp = run(tracker, 0.1, 2)
+    assert confirmed(tracker) == ["b0"] == [track.id for track in tracker.published(stamp - STEP)]
 
 
 def test_id_stays_while_the_person_walks_and_dies_the_death_time_after_leaving():
@@ -270,6 +270,18 @@ def test_who_is_missed_once_in_slow_images_is_published_where_it_would_be():
     tracker = make(Scene([]), death_time=1.0)
     shown = slow_images(tracker, tracker._pose, [1, 1, 1, 1, 1, 0, 0, 0, 1, 1], boxes=True)
     assert [len(ids) for ids in shown[4:9]] == [2, 2, 1, 1, 1], "missed twice it is gone until seen twice"
+
+
+def test_who_is_missed_once_is_published_in_slow_images_for_as_long_as_they_take_and_in_fast_ones_not_at_all():
+    tracker = make(Scene([]), death_time=0.5)
+    shown = slow_images(tracker, tracker._pose, [1, 1, 1, 1, 1, 0, 1, 1], boxes=True)
+    assert shown[3:] == 5 * [["b0", "b1"]]
+    scene = Scene([(400, 400)])
+    tracker = make(scene)
+    stamp = run(tracker, 0.0, 30, boxes=[box_of(400, 400)])
+    scene.people = []
+    run(tracker, stamp, 1, boxes=[box_of(400, 400)])
+    assert tracker.tracks[0].hidden and tracker.published(stamp) == []
 
 
 def test_who_is_missed_in_slow_images_is_gone_at_once_when_the_detector_sees_nobody_there():

@@ -118,6 +118,7 @@ def test_what_is_left_is_written_at_the_end(service, people):
     service.close()
     service.close()
     assert people.written == [("enrol", "face1", "carl")]
+    service._service.shutdown.assert_called_once()
     gallery_service.rospy.logerr.assert_not_called()
 
 

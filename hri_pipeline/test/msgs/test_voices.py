@@ -120,7 +120,8 @@ def test_a_voice_has_the_topics_that_are_switched_on_and_features_at_the_rate_of
         topics.heard = {"features"} if listens else set()
         topics.reconfigure(VOICES.resolve({"features_rate": rate}))
         topics.published.clear()
-        topics.publish(said("first", float(second), noise))
+        for part in range(50):
+            topics.publish(said("first", second + 0.02 * part, noise[part * RATE // 50:(part + 1) * RATE // 50]))
         counts.append(len([name for _, name, _ in topics.published if name == "features"]))
     assert counts[0] == counts[3] == 0 and 18 <= counts[1] <= 20 and 47 <= counts[2] <= 50
     assert set(topics._publishers._open["first"]) == {"audio", "is_speaking", "features", "speech"}
