@@ -529,7 +529,7 @@ class Batches(Scene):
 
 
 @pytest.mark.parametrize("fails", [False, True])
-def test_all_that_are_due_go_into_one_batch_where_that_is_faster(fails):
+def test_all_that_are_due_go_into_one_batch_where_that_is_faster(fails, left_out):
     people = [(200, 400), (600, 400), (1000, 400)]
     alone, together = Scene(people), Batches(people)
     together.fails = fails
