@@ -444,7 +444,7 @@ def alone():
     lambda estimate: replace(estimate, confidence=estimate.confidence[:5]),
     lambda estimate: replace(estimate, world=estimate.world[:5])])
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-def test_one_bad_look_costs_that_body_alone(spoil, alone):
+def test_one_bad_look_costs_that_body_alone(spoil, alone, left_out):
     scene = OneBad([(400, 400), (900, 380)], spoil)
     stage = BodyPipeline(BODIES.resolve({"pose_rate": 0.0}), pose=scene, detector=Boxes(scene))
     for index, expected in enumerate(alone):
@@ -457,7 +457,7 @@ def test_one_bad_look_costs_that_body_alone(spoil, alone):
 
 @pytest.mark.parametrize("box",
                          [[np.nan] * 4, [100.0, 100.0, 100.0, 100.0], [np.inf] * 4, [300.0, 300.0, 100.0, 100.0]])
-def test_one_bad_box_costs_that_box_alone(box):
+def test_one_bad_box_costs_that_box_alone(box, left_out):
     stage, _, detector = make([(400, 400)], person_detection_period=0.0)
     good = detector.detect
     detector.detect = lambda image: (np.concatenate([[box], good(image)[0]]), np.ones(2))

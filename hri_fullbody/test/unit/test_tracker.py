@@ -49,11 +49,11 @@ def test_illegal_settings_are_refused(changes):
 
 def test_birth_needs_the_delay_and_not_a_number_of_images():
     tracker = make(Scene([(300, 400)]))
-    run(tracker, 0.0, 2, boxes=[box_of(300, 400)])
+    stamp = run(tracker, 0.0, 2, boxes=[box_of(300, 400)])
     assert len(tracker.tracks) == 1
-    assert confirmed(tracker) == []
-    run(tracker, 0.1, 2)
-    assert confirmed(tracker) == ["b0"]
+    assert confirmed(tracker) == [] == tracker.published(stamp - STEP)
+    stamp = run(tracker, 0.1, 2)
+    assert confirmed(tracker) == ["b0"] == [track.id for track in tracker.published(stamp - STEP)]
 
 
 def test_id_stays_while_the_person_walks_and_dies_the_death_time_after_leaving():
@@ -106,8 +106,10 @@ def test_after_a_cut_a_face_that_is_told_late_holds_no_body_and_begins_none():
     tracker = make(scene)
     stamp = run(tracker, 0.0, 30, faces=[face], boxes=[box_of(600, 400)])
     assert [track.face_id for track in tracker.tracks] == ["f0"]
-    run(tracker, stamp, 6, faces=[face], image=NOISE)
-    assert tracker.published(stamp + 6 * STEP) == []
+    stamp = run(tracker, stamp, 6, faces=[face], image=NOISE)
+    assert tracker.published(stamp) == []
+    stamp = run(tracker, stamp, 10, faces=[face], boxes=[box_of(600, 400)], image=NOISE)
+    assert [track.face_id for track in tracker.published(stamp - STEP)] == ["f0"], "it is still told, so it is there"
 
 
 @pytest.mark.parametrize("x", [600, 60], ids=["in the middle", "at the side"])
@@ -272,6 +274,28 @@ def test_who_is_missed_once_in_slow_images_is_published_where_it_would_be():
     assert [len(ids) for ids in shown[4:9]] == [2, 2, 1, 1, 1], "missed twice it is gone until seen twice"
 
 
+def test_who_is_missed_once_in_slow_images_is_published_until_the_next_look_and_in_fast_ones_not_at_all():
+    """Four people, one look and two images a second: each is looked at every other second."""
+    people = [(150 + 300 * index, 400) for index in range(4)]
+    scene, boxes, shown = Scene(people), [box_of(*place) for place in people], []
+    tracker = make(scene, schedule=InferenceScheduler(10.0, most=1, batches=False))
+    for index in range(46):
+        if index == 40:
+            missed = min(tracker.tracks, key=lambda track: track.inferred_at)
+            scene.people = [place for place in people if abs(place[0] - missed.estimate.centre[0]) > 50.0]
+        tracker.follow(IMAGE, 0.5 * index)
+        tracker.propose(boxes, [], 0.5 * index)
+        tracker.try_new(IMAGE, 0.5 * index, [], 1)
+        shown.append(len(tracker.published(0.5 * index)))
+    assert shown[39:] == [4, 4, 4, 4, 4, 3, 3]
+    scene = Scene([(400, 400)])
+    tracker = make(scene)
+    stamp = run(tracker, 0.0, 30, boxes=[box_of(400, 400)])
+    scene.people = []
+    run(tracker, stamp, 1, boxes=[box_of(400, 400)])
+    assert tracker.tracks[0].hidden and tracker.published(stamp) == []
+
+
 def test_who_is_missed_in_slow_images_is_gone_at_once_when_the_detector_sees_nobody_there():
     tracker = make(Scene([]), death_time=1.0)
     shown = slow_images(tracker, tracker._pose, [1, 1, 1, 1, 1, 0, 0], boxes=False)
@@ -365,6 +389,14 @@ def test_who_is_lost_is_found_again_below_the_own_face_in_one_window_an_image():
     assert tracker.tracks[0].estimate.nose[0] == pytest.approx(900.0)
 
 
+def test_who_is_seen_is_followed_by_the_own_landmarks_and_not_by_the_face():
+    scene = Scene([(300, 400)])
+    tracker = make(scene)
+    run(tracker, 0.0, 60, faces=[face_of(standing_at(300, 400), "f0")], boxes=[box_of(300, 400)])
+    expected = tracker.tracks[0].estimate.next_window()
+    assert scene.windows[-1].centre == pytest.approx(expected.centre) and scene.windows[-1].size == expected.size
+
+
 class Squeezed(Scene):
     """Like the network: in a large window it sees the neighbour, in a smaller one the person in the middle."""
 
@@ -450,6 +482,18 @@ def test_no_more_bodies_than_allowed():
     assert len(tracker.tracks) == 3
 
 
+def test_where_no_more_bodies_are_allowed_who_was_lost_comes_back_all_the_same():
+    scene = Scene([(300, 400), (900, 400)])
+    tracker = make(scene, max_bodies=2, death_time=2.0)
+    stamp = run(tracker, 0.0, 30, boxes=[box_of(*person) for person in scene.people])
+    scene.people = [(900, 400)]
+    stamp = run(tracker, stamp, 6, boxes=[box_of(900, 400)])
+    scene.people = [(560, 400), (900, 400)]         # outside the window in which it is looked for
+    stamp = run(tracker, stamp, 4, boxes=[box_of(*person) for person in scene.people])
+    assert [(track.id, track.estimate.centre[0]) for track in tracker.published(stamp - STEP)] == [
+        ("b0", 560.0), ("b1", 900.0)]
+
+
 def test_reset_forgets_everybody():
     tracker = make(Scene([(300, 400)]))
     run(tracker, 0.0, 6, boxes=[box_of(300, 400)])
@@ -485,7 +529,7 @@ class Batches(Scene):
 
 
 @pytest.mark.parametrize("fails", [False, True])
-def test_all_that_are_due_go_into_one_batch_where_that_is_faster(fails):
+def test_all_that_are_due_go_into_one_batch_where_that_is_faster(fails, left_out):
     people = [(200, 400), (600, 400), (1000, 400)]
     alone, together = Scene(people), Batches(people)
     together.fails = fails

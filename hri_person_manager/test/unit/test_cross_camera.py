@@ -326,6 +326,34 @@ def test_somebody_else_who_comes_up_elsewhere_or_much_later_is_somebody_else():
     assert len(room.tracked) == 1 and room.tracked != first
 
 
+@pytest.mark.parametrize("handover, ids", [(0.0, 2), (4.0, 1)])
+def test_who_goes_over_to_another_view_is_handed_over_unless_that_is_switched_off(handover, ids):
+    """The views overlap for less time than it takes to join who is seen in both."""
+    room = Room({"left": (0.0, 3.05, 0.0), "right": (2.95, 8.0, 0.0)}, cross_camera_handover=handover)
+    way = walking(1.0, 1.0, since=1.0, stop=7.5)
+    first = room.run(1.5, way)
+    room.run(4.0, way)
+    assert len({*first, *room.tracked}) == ids
+
+
+def test_whom_one_camera_has_lost_and_sees_again_is_for_its_tracker_and_recogniser_to_know():
+    room = Room(APART)
+    room.run(1.0, standing(6.0))        # the other camera sees somebody, too
+    room.run(1.0, lambda time: None)
+    first = room.run(2.0, standing(1.0))
+    room.run(1.0, lambda time: None)
+    room.run(3.0, standing(1.0))
+    assert len(room.tracked) == 1 and room.tracked != first
+
+
+def test_who_may_be_somebody_known_is_held_for_fifteen_seconds_and_then_a_person():
+    room = Room({"left": OVERLAPPING["left"]}, cross_camera_time=30.0)
+    room.run(1.0, standing(3.0))
+    room.views = OVERLAPPING
+    assert len(room.run(14.5, standing(3.0))) == room.most == 1
+    assert len(room.run(1.5, standing(3.0))) == 2
+
+
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("gap", [0.5, 0.7, 1.0])
 def test_two_side_by_side_are_two_persons(gap, seed):
@@ -398,6 +426,15 @@ def test_who_was_taken_for_one_is_so_after_a_jump_of_time_until_it_parts():
         assert room.run(0.1, standing(2.95), standing(3.1)) == (person,)
     room.run(5.0, standing(2.95), walking(3.1, 0.8, since=room.now))
     assert len(room.tracked) == 2
+
+
+def test_who_is_not_seen_after_a_jump_of_time_stays_one_while_somebody_else_is():
+    room = known_by_two_names(11)
+    room.now -= 20.0
+    room.manager.rewind(room.now)
+    for _ in range(2):
+        room.run(1.5, standing(1.0))
+        assert room.manager.representative("zoe") == "ann"
 
 
 def test_two_who_stand_apart_after_a_jump_of_time_are_two():

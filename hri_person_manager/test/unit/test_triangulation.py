@@ -7,9 +7,12 @@ import pytest
 
 from hri_person_manager.core.triangulation import (
     ACROSS,
+    FRESH_S,
+    Estimate,
     SensorTrack,
     Walk,
     aged,
+    aged_in,
     crossing_distances,
     ellipse,
     ray_covariance,
@@ -103,6 +106,13 @@ def test_who_walks_on_as_before_is_more_likely_the_same_than_somebody_else():
     assert walk_evidence(walk(0.0, 0.0), walk(4.0, 4.0)) < on, "the longer away, the less it says"
 
 
+def test_where_several_cameras_saw_the_end_of_a_walk_is_where_it_goes_on():
+    """The last one to see it was .5 m wrong."""
+    seen = Estimate(np.array([0.5, 3.0, 1.6]), np.zeros(3), 0.002 * np.eye(3))
+    there, elsewhere = (walk_evidence(walk(0.0, 0.0), walk(1.0, x), seen) for x in (1.5, 1.0))
+    assert there > walk_evidence(walk(0.0, 0.0), walk(1.0, 1.5)) + 0.5 and there > elsewhere + 0.5
+
+
 def test_an_error_that_both_cameras_share_cancels():
     apart = Walk(1.0, np.array([1.0, 3.5, 1.6]), *walk(0.0, 0.0)[2:])
     shared = apart._replace(shared=np.array([0.0, 0.2, 0.0]))
@@ -124,6 +134,61 @@ def test_a_place_that_is_not_renewed_grows():
     assert spreads[:2] == [0.1, 0.1] and spreads == sorted(spreads)
     # 0.5 m/s at first; after some seconds as a random walk.
     assert spreads[2] == pytest.approx(np.hypot(0.1, 0.25), abs=0.03) and 1.5 < spreads[4] < 2.5
+
+
+def test_who_is_out_of_sight_walks_away_to_the_sides_and_not_up_unless_a_camera_may_be_tilted():
+    start = np.diag([0.01, 0.01, 0.01])
+    level, tilted = (np.sqrt(np.diag(aged_in(start, 20.0, optical))) for optical in (False, True))
+    assert level[0] == level[1] == tilted[0] == tilted[2] > 2.0 and level[2] < 0.3
+    assert aged_in(start, 0.0, False) == pytest.approx(start)
+
+
+BEST, WORSE = 0, 2
+
+
+def track_of(*places):
+    """What one camera tells: its track by (source, x in m, from s, to s), ten places a second, in turn."""
+    track = SensorTrack("left")
+    for source, x, begin, end in places:
+        for stamp in np.arange(begin, end - 1e-6, 0.1):
+            track.add(source, np.array([x, 3.0, 1.5]), ray_covariance(np.array([x, 3.0, 1.5]), LEFT), LEFT, stamp)
+    return track
+
+
+def test_the_better_source_tells_where_somebody_is_until_it_is_silent():
+    """What a body tells is .5 m beside what the face tells: going over to it is no step of the person."""
+    track = SensorTrack("left")
+    for step in range(40):
+        for source, x, ends in ((BEST, 1.0, 20), (WORSE, 1.5, 40)):
+            if step < ends:
+                track.add(source, np.array([x, 3.0, 1.5]), np.eye(3), LEFT, 0.11 * step)
+        place = track.at(0.11 * step)
+        expected = 1.0 if 0.11 * (step - 19) <= FRESH_S else 1.5
+        assert place.position[0] == pytest.approx(expected) and place.velocity == pytest.approx(np.zeros(3))
+    assert track.ended == pytest.approx(0.11 * 39)
+    track.add(BEST, np.array([1.0, 3.0, 1.5]), np.eye(3), LEFT, 4.4)
+    assert track.at(4.4).position[0] == pytest.approx(1.0), "which is used again at once"
+
+
+def test_what_is_told_late_or_twice_changes_nothing():
+    track = track_of((BEST, 1.0, 0.0, 2.0))
+    for stamp in (1.9, 1.5):
+        track.add(BEST, np.array([9.0, 3.0, 1.5]), np.eye(3), LEFT, stamp)
+    assert track.at(1.9).position[0] == pytest.approx(1.0) and (track.began, track.ended) == pytest.approx((0.0, 1.9))
+
+
+def test_after_a_gap_a_stretch_begins_of_which_the_places_before_tell_nothing():
+    track = track_of((BEST, 1.0, 0.0, 2.0), (BEST, 4.0, 3.0, 3.5))
+    assert (track.began, track.ended) == pytest.approx((3.0, 3.4))
+    assert track.resting_place[0] == pytest.approx(4.0) and track.walk(begins=True).position[0] == pytest.approx(4.0)
+
+
+def test_after_a_jump_of_time_a_track_begins_anew_by_whatever_source():
+    for before, after in ((BEST, BEST), (WORSE, WORSE), (BEST, WORSE)):
+        track = track_of((WORSE, 0.0, 99.0, 99.1), (before, 1.0, 100.0, 102.0), (after, 4.0, 5.0, 6.0))
+        assert (track.began, track.ended) == pytest.approx((5.0, 5.9)), (before, after)
+        assert track.at(5.9).position[0] == track.resting_place[0] == pytest.approx(4.0)
+        assert track.at(5.9).velocity == pytest.approx(np.zeros(3))
 
 
 def test_an_ellipse_is_as_large_and_turned_as_its_covariance():

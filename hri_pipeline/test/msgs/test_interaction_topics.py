@@ -10,8 +10,10 @@ from unittest.mock import MagicMock
 import genpy
 import numpy as np
 import pytest
+from std_msgs.msg import Bool, String
 from tf2_msgs.msg import TFMessage
 
+from hri_msgs.msg import FacialActionUnits
 from hri_pipeline.core.frames import scan
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.interactions.engagement import Level
@@ -113,6 +115,91 @@ def test_several_faces_of_a_camera_whose_clock_is_ahead_do_not_hide_those_of_the
                    for face in faces]).serialize(data)
         people._on_frames(data.getvalue(), scan(data.getvalue()), False)
     assert people.stamp == genpy.Time.from_sec(100.1)
+
+
+def people_with_faces(monkeypatch, *names):
+    """Input of people with these names, the voice v of which and the face f of which are known; the frames of all
+    faces have come."""
+    monkeypatch.setattr(people_input, "IdSubscribers", MagicMock())
+    monkeypatch.setattr(people_input, "TfSubscriber", MagicMock())
+    monkeypatch.setattr(people_input.rospy, "get_time", lambda: 100.2)
+    people = people_input.PeopleInput(INTERACTION_PARAMETERS.resolve({}), MagicMock())
+    people._on_people(list(names))
+    for name in names:
+        people._on_feature(name, "voice_id", String("v" + name))
+    see_faces(people, names)
+    return people
+
+
+def see_faces(people, names):
+    for name in names:
+        people._on_feature(name, "face_id", String("f" + name))
+    data = io.BytesIO()
+    TFMessage([transform_to_msg(Pose(np.eye(3), np.ones(3)), genpy.Time.from_sec(100.1), "camera", "face_f" + name)
+               for name in names]).serialize(data)
+    people._on_frames(data.getvalue(), scan(data.getvalue()), False)
+
+
+def places(sensors):
+    return {sensor: Pose.identity() for sensor in sensors}
+
+
+def who_speaks(people):
+    found = people.take(places).people
+    return [] if found.speaking is None else [name for name, speaks in zip(found.ids, found.speaking) if speaks]
+
+
+def test_who_speaks_is_whose_voice_does(monkeypatch):
+    people = people_with_faces(monkeypatch, "ann", "bob")
+    assert who_speaks(people) == []
+    people._on_speaking("vann", "is_speaking", Bool(True))
+    people._on_speaking("vbob", "is_speaking", Bool(False))
+    assert who_speaks(people) == ["ann"]
+    people._on_feature("ann", "voice_id", String(""))
+    assert who_speaks(people) == [], "it was somebody else's voice"
+    people._on_feature("ann", "voice_id", String("vann"))
+    people._on_people(["bob"])
+    people._on_people(["bob", "ann"])
+    see_faces(people, ["ann", "bob"])
+    assert people.take(places).unplaced == [] and who_speaks(people) == [], "whose voice it is was of before she left"
+    people._on_feature("ann", "voice_id", String("vann"))
+    people._on_voices(["vbob"])
+    assert who_speaks(people) == [], "the voice has ended in the middle of a word"
+
+
+def test_who_is_tracked_and_has_no_place_is_told_apart_and_what_is_no_id_is_refused(monkeypatch):
+    people = people_with_faces(monkeypatch, "ann", "bob")
+    taken = people.take(places)
+    assert taken.stamp == genpy.Time.from_sec(100.1) and list(taken.people.ids) == ["ann", "bob"]
+    assert taken.unplaced == []
+    people._on_people(["ann", "bob", "cid"])
+    assert people.take(places).unplaced == ["cid"] and people.ids == ["ann", "bob", "cid"]
+    for name in ("face_id", "body_id", "voice_id"):
+        with pytest.raises(ValueError, match="is not an id"):
+            people._on_feature("ann", name, String("../f"))
+    assert list(people.take(places).people.ids) == ["ann", "bob"]
+    people._on_feature("ann", "face_id", String(""))
+    assert people.take(places).unplaced == ["ann", "cid"]
+
+
+def test_closed_eyes_are_told_by_the_units_that_are_known(monkeypatch):
+    people = people_with_faces(monkeypatch, "ann", "bob")
+
+    def eyes(face, *units):
+        message = FacialActionUnits(intensity=[0.0] * 99, confidence=[0.0] * 99)
+        for unit, intensity, confidence in units:
+            message.intensity[unit], message.confidence[unit] = intensity, confidence
+        people._on_facs(face, "facs", message)
+        return people._closures.get(face)
+
+    closed, blink = people_input.AU_EYES_CLOSED, people_input.AU_BLINK
+    assert eyes("fann", (closed, 1.0, 0.0), (blink, float("nan"), 1.0)) is None
+    assert eyes("fann", (closed, 0.2, 1.0), (blink, 0.9, 1.0))[1] == eyes("fann", (blink, 0.9, 0.5))[1] == 0.9
+    assert eyes("fann", (closed, 0.3, 1.0), (blink, 0.9, 0.0))[1] == 0.3
+    with pytest.raises(ValueError, match="without number"):
+        people._on_facs("fann", "facs", FacialActionUnits(intensity=[0.0] * 20, confidence=[0.0] * 20))
+    people._on_faces(["fbob"])
+    assert not people._closures
 
 
 @pytest.mark.parametrize("reference", ["map", "camera_optical_frame"])

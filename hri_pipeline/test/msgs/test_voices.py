@@ -1,5 +1,5 @@
-"""Topics of voices that cannot be opened at once, voices that are over within a block, and the robot's voice when time
-goes back; without a master."""
+"""Topics of voices with and without subscribers, some of which cannot be opened at once, voices that are over within a
+block, and the robot's voice when time goes back; without a master."""
 
 from unittest.mock import MagicMock
 
@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from audio_common_msgs.msg import AudioData
 
+from hri_pipeline.core.asr.recognition import SpeechResult
 from hri_pipeline.core.audio.own_voice import RobotSpeech
 from hri_pipeline.core.audio.parameters import VOICES
 from hri_pipeline.core.audio.pipeline import VoiceObservation
@@ -17,19 +18,19 @@ from hri_pipeline.ros.sound_input import RobotVoiceInput
 from hri_pipeline.ros.voice_topics import VoiceTopics
 
 
-@pytest.fixture()
-def topics(monkeypatch):
-    """Topics of voices of which only those of `may_open` can be opened; `published` has what was said."""
+def topics_of(monkeypatch, speech=False, **given):
+    """Topics of voices of which only those of `may_open` can be opened, and those of the names `heard` have
+    subscribers; `published` has what was said."""
     monkeypatch.setattr(voice_topics, "rospy", MagicMock(ROSException=OSError))
-    made = VoiceTopics(VOICES.resolve({}), False)
-    made.may_open, made.published = set(), []
+    made = VoiceTopics(VOICES.resolve(given), speech)
+    made.may_open, made.heard, made.published = set(), set(), []
 
     def advertise(identity, name, spec, listener):
         if identity not in made.may_open:
             raise OSError("too few file descriptors")
         publisher = MagicMock()
-        publisher.publish = lambda message: made.published.append((identity, name, message.data))
-        publisher.get_num_connections.return_value = 0
+        publisher.publish = lambda message: made.published.append((identity, name, getattr(message, "data", message)))
+        publisher.get_num_connections.side_effect = lambda: int(name in made.heard)
         return publisher
 
     monkeypatch.setattr(made._publishers, "_advertise", advertise)
@@ -37,8 +38,13 @@ def topics(monkeypatch):
     return made
 
 
-def said(voice, stamp):
-    return VoiceObservation(voice, stamp, np.zeros(0, np.float32), True, True, 1.0, -20.0)
+@pytest.fixture()
+def topics(monkeypatch):
+    return topics_of(monkeypatch)
+
+
+def said(voice, stamp, samples=(), speaking=True):
+    return VoiceObservation(voice, stamp, np.array(samples, np.float32), speaking, True, 1.0, -20.0)
 
 
 def test_a_voice_whose_topics_cannot_be_opened_costs_no_other_and_is_told_later(topics):
@@ -60,6 +66,75 @@ def test_of_a_voice_whose_topics_never_opened_no_sound_is_kept(topics):
         topics.publish(VoiceObservation(voice, 1.0, np.ones(RATE, np.float32), True, True, 1.0, -20.0))
     topics.retain([])
     assert not topics._backlogs and not topics._extractors and not topics._speaking
+
+
+def test_whether_a_voice_speaks_is_told_with_each_change_and_when_it_ends_in_the_middle_of_a_word(topics):
+    topics.may_open = {"first", "other"}
+    topics.retain(["first", "other"])
+    for speaking in (True, True, False, True):
+        topics.publish(said("first", 1.0, speaking=speaking))
+    topics.publish(said("other", 1.0, speaking=False))
+    assert topics.published == [("first", "is_speaking", True), ("first", "is_speaking", False),
+                                ("first", "is_speaking", True), ("other", "is_speaking", False)]
+    topics.published.clear()
+    topics.close_ids()
+    assert topics.published == [("first", "is_speaking", False)] and topics._publishers.ids == []
+
+
+@pytest.mark.parametrize("blocks", [4, 30])
+def test_the_first_subscriber_of_the_sound_gets_the_end_of_what_was_said_before_and_each_sample_once(monkeypatch,
+                                                                                                    blocks):
+    topics = topics_of(monkeypatch, audio_backlog=1.0, features=False)
+    topics.may_open = {"first"}
+    topics.retain(["first"])
+    length = RATE // 10
+    block = [np.full(length, 0.001 * (number + 1), np.float32) for number in range(blocks + 4)]
+    for number in range(blocks):
+        topics.publish(said("first", 0.1 * number, block[number]))
+    topics.heard = {"audio"}
+    topics.published.clear()
+    for number in (blocks, blocks + 1):
+        topics.publish(said("first", 0.1 * number, block[number]))
+    topics.publish(said("first", 0.1 * blocks + 0.2))       # a word of which no sound is there yet
+    topics.heard = set()
+    topics.publish(said("first", 0.1 * blocks + 0.2, block[blocks + 2]))
+    topics.heard = {"audio"}
+    topics.publish(said("first", 0.1 * blocks + 0.3, block[blocks + 3]))
+    heard = [data for _, name, data in topics.published if name == "audio"]
+    assert heard == [encode_s16(np.concatenate(block[max(0, blocks - 10):blocks + 1])),
+                     encode_s16(block[blocks + 1]), encode_s16(block[blocks + 3])]
+
+
+def test_a_voice_has_the_topics_that_are_switched_on_and_features_at_the_rate_of_now_for_who_listens(monkeypatch):
+    noise = np.random.default_rng(1).normal(0.0, 0.1, RATE)
+    silent = topics_of(monkeypatch, features=False, audio_backlog=0.0)
+    silent.may_open, silent.heard = {"first"}, {"audio", "features"}
+    silent.retain(["first"])
+    silent.publish(said("first", 0.0, noise))
+    assert [name for _, name, _ in silent.published] == ["is_speaking", "audio"]
+    assert set(silent._publishers._open["first"]) == {"audio", "is_speaking"}
+    topics = topics_of(monkeypatch, speech=True, features_rate=20.0)
+    topics.may_open, counts = {"first"}, []
+    topics.retain(["first"])
+    for second, (listens, rate) in enumerate(((False, 20.0), (True, 20.0), (True, 50.0), (False, 50.0))):
+        topics.heard = {"features"} if listens else set()
+        topics.reconfigure(VOICES.resolve({"features_rate": rate}))
+        topics.published.clear()
+        for part in range(50):
+            topics.publish(said("first", second + 0.02 * part, noise[part * RATE // 50:(part + 1) * RATE // 50]))
+        counts.append(len([name for _, name, _ in topics.published if name == "features"]))
+    assert counts[0] == counts[3] == 0 and 18 <= counts[1] <= 20 and 47 <= counts[2] <= 50
+    assert set(topics._publishers._open["first"]) == {"audio", "is_speaking", "features", "speech"}
+
+
+def test_what_a_voice_has_said_is_told_as_long_as_it_has_topics(monkeypatch):
+    topics = topics_of(monkeypatch, speech=True)
+    topics.may_open = {"first"}
+    topics.retain(["first"])
+    words = SpeechResult("first", 1.0, "", "hello", 0.9, "en")
+    assert topics.publish_speech(words) and topics.published == [("first", "speech", "hello")]
+    topics.retain([])
+    assert not topics.publish_speech(words)
 
 
 def test_of_voices_that_begin_and_end_within_a_block_nothing_is_kept_when_no_word_of_them_was_recognised(monkeypatch):

@@ -457,6 +457,7 @@ class ImageInputTest(InputCase):
         module.JUMP_S = 0.25
         self.settle(0.0)
         image_input = self.image_input()
+        wait_for(self.images.get_num_connections, 10, "the node listens")      # before the first stamp is taken
         for _ in range(2):
             self.send(image_input, picture(rospy.get_time()))
             self.assertIsNotNone(image_input.next(5))

@@ -89,7 +89,11 @@ class GalleryService:
         return "everybody is forgotten", "", ""
 
     def _merge(self, request: GalleryRequest) -> GalleryAnswer:
-        self._recogniser.merge(request.other, request.id)
+        try:
+            self._recogniser.merge(request.other, request.id)
+        except UnknownPersonError:      # merged before, but perhaps not on the disk yet
+            self._writer.wait()
+            raise
         self._writer.wait()
         return "{} is {} now".format(request.other, request.id), request.id, ""
 

@@ -41,7 +41,7 @@ class _Backlog:
             self._held -= len(self._parts.popleft())
 
     def take(self) -> List[np.ndarray]:
-        """Return the stored sound and close."""
+        """Return what is stored, which is nothing from the second time on."""
         parts, self._parts, self.is_open = list(self._parts), deque(), False
         return parts
 
@@ -75,7 +75,7 @@ class VoiceTopics:
         """
         wanted = sorted(ids)
         for identity in {*self._publishers.ids, *self._backlogs}.difference(wanted):
-            self._close(identity)
+            self._forget(identity)
         if wanted == sorted(self._publishers.ids):
             return
         try:
@@ -91,8 +91,7 @@ class VoiceTopics:
             self._speaking[identity] = observation.speaking
         if len(observation.samples):
             self._publish_audio(identity, observation.samples)
-            if self._settings.features:
-                self._publish_features(identity, observation)
+            self._publish_features(identity, observation)
 
     def publish_speech(self, result: SpeechResult) -> bool:
         """Publish what a voice has said. Return False when the voice has no topics any more."""
@@ -109,12 +108,11 @@ class VoiceTopics:
         self._settings = settings
         self._extractors.clear()
 
-    def _close(self, identity: str) -> None:
+    def _forget(self, identity: str) -> None:
         if self._speaking.pop(identity, False):
             self._publishers.publish(identity, IS_SPEAKING, Bool(False))
         self._backlogs.pop(identity, None)
         self._extractors.pop(identity, None)
-        self._publishers.close(identity)
 
     def _publish_audio(self, identity: str, samples: np.ndarray) -> None:
         backlog = self._backlogs.get(identity)
@@ -124,7 +122,7 @@ class VoiceTopics:
             if backlog.is_open:
                 backlog.add(samples)
             return
-        parts = (backlog.take() if backlog.is_open else []) + [samples]
+        parts = backlog.take() + [samples]
         self._publishers.publish(identity, AUDIO, AudioData(data=encode_s16(np.concatenate(parts))))
 
     def _publish_features(self, identity: str, observation: VoiceObservation) -> None:
