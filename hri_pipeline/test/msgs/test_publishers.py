@@ -66,8 +66,12 @@ def master():
     """A master that keeps the topics which are registered, and counts requests."""
     with SimpleXMLRPCServer(("127.0.0.1", 0), Requests, logRequests=False) as server:
         server.requests, server.topics = 0, []
-        server.register_function(
-            lambda node, topic, kind, uri: server.topics.append(topic) or [1, "", []], "registerPublisher")
+        for call in ("registerPublisher", "registerSubscriber"):
+            server.register_function(
+                lambda node, topic, kind, uri: server.topics.append(topic) or [1, "", ["http://a/"]], call)
+        for call in ("unregisterPublisher", "unregisterSubscriber"):
+            server.register_function(
+                lambda node, topic, uri: [1, "", topic in server.topics and server.topics.remove(topic) is None], call)
         server.register_multicall_functions()
         thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
         thread.start()
@@ -76,9 +80,17 @@ def master():
         thread.join()
 
 
-def test_all_topics_of_those_who_are_new_are_told_to_the_master_in_one_call(master, publishers, monkeypatch):
+@pytest.fixture()
+def topics(monkeypatch):
+    """What rospy keeps of the topics of this process."""
+    kept = SimpleNamespace(lock=threading.RLock(), pubs={}, subs={})
+    monkeypatch.setattr(rospy_compat, "get_topic_manager", lambda: kept)
+    return kept
+
+
+def test_all_topics_of_those_who_are_new_are_told_to_the_master_in_one_call(master, topics, publishers, monkeypatch):
     """Else an image with many new people waits for a call for each of their topics."""
-    register = registering(master)
+    register = registering(master, topics)
 
     def advertise(identity, name, spec, listener):
         if (identity, name) == ("second", "name"):
@@ -98,18 +110,18 @@ def test_all_topics_of_those_who_are_new_are_told_to_the_master_in_one_call(mast
     assert not rospy_compat.not_registered.is_set()
 
 
-def test_a_node_that_ends_while_topics_open_registers_none(master, publishers, monkeypatch):
+def test_a_node_that_ends_while_topics_open_registers_none(master, topics, publishers, monkeypatch):
     """A new node of its name would be ended by the master, or the topics would stay there for ever."""
-    monkeypatch.setattr(publishers, "_advertise", registering(master))
+    monkeypatch.setattr(publishers, "_advertise", registering(master, topics))
     with rospy_compat.registered_together():
         publishers.open("first")
         monkeypatch.setattr(rospy_compat.rospy, "is_shutdown", lambda: True)
     assert master.requests == 0
 
 
-def test_a_master_that_has_gone_while_topics_open_is_not_waited_for(master, publishers, monkeypatch):
+def test_a_master_that_has_gone_while_topics_open_is_not_waited_for(master, topics, publishers, monkeypatch):
     monkeypatch.setattr(rospy_compat, "not_registered", threading.Event())
-    monkeypatch.setattr(publishers, "_advertise", registering(master))
+    monkeypatch.setattr(publishers, "_advertise", registering(master, topics))
     with rospy_compat.registered_together():
         publishers.open("first")
         rospy_compat.not_registered.set()
@@ -117,7 +129,8 @@ def test_a_master_that_has_gone_while_topics_open_is_not_waited_for(master, publ
 
 
 @pytest.mark.parametrize("answer", [[1, "no list"], "nothing", ValueError("the master has a bug")])
-def test_answers_that_are_none_open_topics_all_the_same(master, publishers, monkeypatch, answer):
+def test_answers_that_are_none_open_topics_all_the_same(master, topics, publishers, monkeypatch,
+                                                               answer):
     def answered(node, topic, kind, uri):
         if topic.startswith("second") and isinstance(answer, Exception):
             raise answer
@@ -125,18 +138,75 @@ def test_answers_that_are_none_open_topics_all_the_same(master, publishers, monk
 
     master.register_function(answered, "registerPublisher")
     monkeypatch.setattr(rospy_compat, "not_registered", threading.Event())
-    monkeypatch.setattr(publishers, "_advertise", registering(master))
+    monkeypatch.setattr(publishers, "_advertise", registering(master, topics))
     publishers.keep(["first", "second", "third"])
     assert publishers.ids == ["first", "second", "third"] and rospy_compat.not_registered.is_set()
 
 
-def registering(master):
-    """What opens a topic that is registered with this master."""
-    manager = SimpleNamespace(master_uri="http://127.0.0.1:{}/".format(master.server_address[1]),
-                              uri="http://127.0.0.1:1/", logger=logging.getLogger("registration"))
+def test_topics_that_come_and_go_together_are_told_to_the_master_in_one_call(master, topics):
+    """Each sentence of somebody unseen is a voice and a person: eleven topics, which six subscribers hear."""
+    heard = []
+    manager = manager_of(master)
+    manager.publisher_update = lambda topic, found: heard.append((topic, found))
+    opened(manager, topics.subs, "old")
+    with rospy_compat.registered_together():
+        closed(manager, topics.subs, "old")
+        for name in ("first", "second"):
+            opened(manager, topics.subs, name)
+        closed(manager, topics.subs, "first")
+        assert master.topics == ["old"]
+    assert master.topics == ["second"] and master.requests == 2
+    assert heard == [("old", ["http://a/"]), ("second", ["http://a/"])]
 
+
+def test_what_another_thread_opens_or_closes_meanwhile_is_told_as_it_is_then(master, topics):
+    manager = manager_of(master)
+    manager.publisher_update = lambda topic, found: None
+    opened(manager, topics.subs, "again")
+    with rospy_compat.registered_together():
+        closed(manager, topics.subs, "again")
+        opened(manager, topics.subs, "gone")
+        other = threading.Thread(target=lambda: (opened(manager, topics.subs, "again"), topics.subs.pop("gone")))
+        other.start()
+        other.join()
+    assert master.topics == ["again", "again"], "registered by both threads, and taken back by none"
+
+
+def test_topics_of_a_node_that_ends_are_taken_back(master, topics, monkeypatch):
+    """rospy takes back at its end what it still has; the master would keep the others for ever."""
+    manager = manager_of(master)
+    manager.publisher_update = lambda topic, found: None
+    for name in ("first", "second"):
+        opened(manager, topics.subs, name)
+    with rospy_compat.registered_together():
+        for name in ("first", "second"):
+            closed(manager, topics.subs, name)
+        monkeypatch.setattr(rospy_compat.rospy, "is_shutdown", lambda: True)
+    assert master.topics == []
+
+
+def manager_of(master):
+    """What of rospy talks to this master."""
+    return SimpleNamespace(master_uri="http://127.0.0.1:{}/".format(master.server_address[1]),
+                           uri="http://127.0.0.1:1/", logger=logging.getLogger("registration"))
+
+
+def opened(manager, kept, name, of=Registration.SUB):
+    """Open a topic as rospy does."""
+    kept[name] = object()
+    rospy_compat._reg_added(manager, name, "std_msgs/String", of)
+
+
+def closed(manager, kept, name, of=Registration.SUB):
+    """Close a topic as rospy does."""
+    del kept[name]
+    rospy_compat._reg_removed(manager, name, "std_msgs/String", of)
+
+
+def registering(master, topics):
+    """What opens a topic that is registered with this master."""
     def advertise(identity, name, spec, listener):
-        rospy_compat._reg_added(manager, identity + "/" + name, "std_msgs/String", Registration.PUB)
+        opened(manager_of(master), topics.pubs, identity + "/" + name, Registration.PUB)
         return object()
 
     return advertise

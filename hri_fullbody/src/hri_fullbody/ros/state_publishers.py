@@ -236,7 +236,9 @@ class StatePublishers:
             publisher.child = ChildProcess([
                 path, "__ns:=/", "__name:=" + node_name(publisher.id).strip("/"),
                 "robot_description:=" + description_name(publisher.id),
-                "joint_states:=/humans/bodies/{}/joint_states".format(publisher.id)])
+                "joint_states:=/humans/bodies/{}/joint_states".format(publisher.id),
+                # For each joint state it searches tf_prefix, asks whether what it has found exists, and reads that.
+                "~tf_prefix:=" + node_name(publisher.id) + "/no_tf_prefix"])
         except OSError as error:
             self._binary, self._binary_due = None, now + _BINARY_RETRY_S
             publisher.due = self._binary_due

@@ -31,7 +31,21 @@ from collections import deque
 from contextlib import contextmanager
 from functools import partial
 from http.client import HTTPConnection
-from typing import Any, Callable, Deque, Dict, Iterable, Iterator, List, Optional, Sequence, Set, Tuple, Union
+from typing import (
+    Any,
+    Callable,
+    Deque,
+    Dict,
+    Iterable,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+    Union,
+)
 from xmlrpc.client import MultiCall, ServerProxy, Transport
 
 import genpy
@@ -154,7 +168,8 @@ def release(topic: Union[rospy.Publisher, rospy.Subscriber]) -> None:
 
 
 class Releaser:
-    """Releases publishers in a thread of its own, as each release waits for the master.
+    """Releases publishers in a thread of its own, as a release waits for the master; those that wait together by one
+    call of it.
 
     The thread ends when all are released.
     """
@@ -187,11 +202,13 @@ class Releaser:
                 if not self._waiting:
                     self._thread = None
                     return
-                publisher = self._waiting.popleft()
-            try:
-                release(publisher)
-            except Exception as error:      # the others still have to be released
-                rospy.logwarn("%s was not released: %s", publisher.name, error)
+                publishers, self._waiting = self._waiting, deque()
+            with registered_together():
+                for publisher in publishers:
+                    try:
+                        release(publisher)
+                    except Exception as error:      # the others still have to be released
+                        rospy.logwarn("%s was not released: %s", publisher.name, error)
 
 
 def refuse_when_closed(publisher: rospy.Publisher) -> None:
@@ -283,80 +300,115 @@ def register_without_waiting() -> None:
     went on. Who calls this registers them all when `not_registered` is set (MasterWatch).
     """
     RegManager.reg_added = _reg_added
+    RegManager.reg_removed = _reg_removed
+
+
+class _Change(NamedTuple):
+    """A topic or service that was opened, or a topic that was closed (kind: None); kind: type, or a service's
+    address."""
+
+    of: str
+    name: str
+    kind: Optional[str]
+
+
+class _Batch(threading.local):
+    """What this thread tells the master together; None where it tells each change at once."""
+
+    changes: Optional[List[Tuple[RegManager, _Change]]] = None
+
+
+_batch = _Batch()
+_unregister = RegManager.reg_removed
+_OPENED = {Registration.PUB: "registerPublisher", Registration.SUB: "registerSubscriber",
+           Registration.SRV: "registerService"}
+_CLOSED = {Registration.PUB: "unregisterPublisher", Registration.SUB: "unregisterSubscriber"}
 
 
 def _reg_added(manager: RegManager, name: str, kind: str, of: str) -> None:
     """Register a topic or service with the master; kind: type, or address of a service."""
-    if of == Registration.PUB and _opening.together is not None:
-        _opening.together.append((manager, name, kind))
-        return
-    call = {Registration.PUB: "registerPublisher", Registration.SUB: "registerSubscriber",
-            Registration.SRV: "registerService"}[of]
-    for found in _tell_master(manager, call, [(name, kind)]):
-        if of == Registration.SUB:
-            manager.publisher_update(name, found)
+    if of in _CLOSED and _batch.changes is not None:
+        _batch.changes.append((manager, _Change(of, name, kind)))
+    else:
+        _tell_master(manager, [_Change(of, name, kind)])
 
 
-def _tell_master(manager: RegManager, call: str, opened: Sequence[Tuple[str, str]]) -> List[Any]:
-    """Register topics or services, (name, type or address) each, at once; return what the master answers to those that
-    it takes."""
-    # A node that ends has perhaps been replaced by one of its name, which the master would end now. And a master that
-    # has not answered a moment ago is not waited for again.
-    if rospy.is_shutdown() or not_registered.is_set():
-        return []
-    try:
-        with ServerProxy(manager.master_uri, transport=TransportWithTimeout(_REGISTER_S)) as master:
-            told = [(rospy.get_name(), name, kind, manager.uri) for name, kind in opened]
-            answers = [(code, text, found) for code, text, found in _answers(master, call, told)]
-    except Exception as error:      # refused, timed out, half an answer
-        not_registered.set()
-        manager.logger.error("%s is told to the master later, with %d more: %s", opened[0][0], len(opened) - 1, error)
-        return []
-    for (name, _), (code, text, _) in zip(opened, answers):
-        if code != 1:
-            rospy.logfatal("the master refuses to register %s: %s", name, text)
-    return [found for code, _, found in answers if code == 1]
-
-
-def _answers(master: ServerProxy, call: str, told: Sequence[Tuple[str, ...]]) -> Iterable[Any]:
-    """Return the answers to calls of the master, made in one; a single one is made as any master knows it."""
-    if len(told) == 1:
-        return [getattr(master, call)(*told[0])]
-    calls = MultiCall(master)
-    for arguments in told:
-        getattr(calls, call)(*arguments)
-    return calls()
-
-
-class _Opening(threading.local):
-    """The publishers that this thread opens together; None where each is registered at once."""
-
-    together: Optional[List[Tuple[RegManager, str, str]]] = None
-
-
-_opening = _Opening()
+def _reg_removed(manager: RegManager, name: str, kind: str, of: str) -> None:
+    """Take a topic or service back from the master; kind: type, or address of a service."""
+    if of in _CLOSED and _batch.changes is not None:
+        _batch.changes.append((manager, _Change(of, name, None)))
+    else:
+        _unregister(manager, name, kind, of)
 
 
 @contextmanager
 def registered_together() -> Iterator[None]:
-    """Register the publishers that are opened in the body of a `with` statement by one call at its end, or that of the
-    outermost one; where the body raises, at once: who opens one again before it is released must find it registered,
-    and the release has to come after that.
+    """Tell the master of the topics that are opened and released in the body of a `with` statement by one call at its
+    end, or that of the outermost one; where the body raises, at once: who opens one again before it is released must
+    find it registered, and the release has to come after that.
 
     rospy calls the master for each: an image with five new bodies, of ten topics each, waited for 50 calls.
     """
-    opened: List[Tuple[RegManager, str, str]] = []
-    outer, _opening.together = _opening.together, opened
+    changes: List[Tuple[RegManager, _Change]] = []
+    outer, _batch.changes = _batch.changes, changes
     has_ended = False
     try:
         yield
         has_ended = True
     finally:
-        _opening.together = outer
+        _batch.changes = outer
         if has_ended and outer is not None:
-            outer.extend(opened)
-        elif opened:
-            _tell_master(opened[0][0], "registerPublisher", [(name, kind) for _, name, kind in opened])
+            outer.extend(changes)
+        elif changes:
+            _tell_master(changes[0][0], [change for _, change in changes])
+
+
+def _tell_master(manager: RegManager, changes: Sequence[_Change]) -> None:
+    """Tell the master of what was opened and closed, at once; subscribers then hear who publishes.
+
+    Another thread may have closed what was opened here, and told that, or opened again what was closed: what is not
+    so any more is not told.
+    """
+    topics = get_topic_manager()
+    with topics.lock:
+        # A node that ends has perhaps been replaced by one of its name, which the master would end when this one
+        # registers. And a master that has not answered a moment ago is not waited for again.
+        is_late = rospy.is_shutdown() or not_registered.is_set()
+        exist = {Registration.PUB: topics.pubs, Registration.SUB: topics.subs}
+        told = [change for change in changes
+                if (change.kind is None) != (change.of not in exist or change.name in exist[change.of])
+                and not (is_late and change.kind is not None)]
+        if told:
+            _call_master(manager, told)
+
+
+def _call_master(manager: RegManager, told: Sequence[_Change]) -> None:
+    try:
+        with ServerProxy(manager.master_uri, transport=TransportWithTimeout(_REGISTER_S)) as master:
+            answers = [(code, text, found) for code, text, found in _answers(master, manager.uri, told)]
+    except Exception as error:      # refused, timed out, half an answer
+        if any(change.kind is not None for change in told):
+            not_registered.set()
+        manager.logger.error("%s is not told to the master, with %d more: %s", told[0].name, len(told) - 1, error)
+        return
+    for change, (code, text, found) in zip(told, answers):
+        if code != 1:
+            rospy.logfatal("the master refuses to %s %s: %s", "register" if change.kind else "unregister", change.name,
+                           text)
+        elif change.of == Registration.SUB and change.kind is not None:
+            manager.publisher_update(change.name, found)
+
+
+def _answers(master: ServerProxy, uri: str, told: Sequence[_Change]) -> Iterable[Any]:
+    """Return the answers to calls of the master, made in one; a single one is made as any master knows it."""
+    calls = MultiCall(master) if len(told) > 1 else master
+    answers = []
+    for of, name, kind in told:
+        if kind is None:
+            answers.append(getattr(calls, _CLOSED[of])(rospy.get_name(), name, uri))
+        else:
+            answers.append(getattr(calls, _OPENED[of])(rospy.get_name(), name, kind, uri))
+    return calls() if len(told) > 1 else answers
 
 
 _robust_connect = tcpros_pubsub.robust_connect_subscriber

@@ -19,6 +19,7 @@ from hri_pipeline.ros.master import IMAGE_TYPES, PublisherAnswer, does_publish, 
 from hri_pipeline.ros.rospy_compat import (
     address_of_sender,
     connected_publishers,
+    registered_together,
     release,
     sender_of,
 )
@@ -207,14 +208,15 @@ class IdSubscribers:
             new = [identity for identity in ids if identity not in self._subscribers and not self._closed.is_set()]
             # An id counts as followed before its first topic is: a latched message comes at once.
             self._subscribers.update((identity, ()) for identity in new)
-        for subscriber in itertools.chain.from_iterable(gone):
-            release(subscriber)
-        for identity in new:
-            try:
-                self._subscribe(identity)
-            except Exception as error:      # _check tries again
-                self._note("errors", 1, "/humans/{}/{} is not listened to: {}: {}".format(
-                    self._kind, identity, type(error).__name__, error))
+        with registered_together():
+            for subscriber in itertools.chain.from_iterable(gone):
+                release(subscriber)
+            for identity in new:
+                try:
+                    self._subscribe(identity)
+                except Exception as error:      # _check tries again
+                    self._note("errors", 1, "/humans/{}/{} is not listened to: {}: {}".format(
+                        self._kind, identity, type(error).__name__, error))
 
     def _subscribe(self, identity: str) -> None:
         """Subscribe to all topics of an id, or to none of them and raise why."""

@@ -210,8 +210,8 @@ class VoiceMatcher:
         if count < 1 or not moving:
             return evidence
         times = end - STEP_S * np.arange(count)[::-1]
-        tracks = [self._mouths[face].motion(times) for face in moving]
-        ratios = np.array([motion_evidence(motion, weight, self._settings.still_motion) for motion, weight in tracks])
+        motions, weights = np.array([self._mouths[face].motion(times) for face in moving]).swapaxes(0, 1)
+        ratios = motion_evidence(motions, weights, self._settings.still_motion)
         speech = np.array([self._speech(name, times) for name in names])
         others = self._settings.unseen_weight + len(faces) - len(moving)
         evidence[:, [faces.index(face) for face in moving]] = mouth_evidence(speech, ratios, others)
@@ -288,14 +288,14 @@ POSITION_SD = 0.15
 
 
 def motion_evidence(motion: np.ndarray, weight: np.ndarray, still_motion: float) -> np.ndarray:
-    """Return the log-likelihood ratios (T,) of a mouth that moves against one that is still, 0 where the motion is not
-    known.
+    """Return the log-likelihood ratios (..., T) of mouths that move against ones that are still, 0 where the motion is
+    not known.
 
     Parameters
     ----------
-    motion: (T,) array
+    motion: (..., T) array
         Standard deviation of the opening (0 to 1), NaN where unknown.
-    weight: (T,) array
+    weight: (..., T) array
         Confidence of the motion, 0 to 1.
     still_motion: float
         Motion at which both are as likely.
