@@ -1,6 +1,8 @@
 import itertools
+from dataclasses import replace
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 from synthetic_people import Scene, face_of, standing_at
@@ -81,6 +83,36 @@ def test_nobody_is_waited_for_behind_a_cut_of_the_picture():
     scene.people = []
     run(tracker, stamp, 12, image=NOISE)
     assert tracker.tracks == []
+
+
+def textured():
+    """A picture of many rectangles, whose corners tell of a zoom."""
+    random = np.random.default_rng(3)
+    image = np.full((720, 1280, 3), 110, np.uint8)
+    for x, y, w, h in zip(*random.integers(((0,), (0,), (12,), (12,)), ((1280,), (720,), (120,), (120,)), (4, 400))):
+        image[y:y + h, x:x + w] = random.integers(0, 255, 3)
+    return image
+
+
+@pytest.mark.parametrize("late_faces", [False, True])
+def test_bodies_keep_their_ids_where_the_camera_zooms(late_faces):
+    """What comes to lie where the other one was is not the other one; nor does a face that was seen before tell so."""
+    people = [(500.0, 400.0), (700.0, 400.0)]
+    scene = Scene(people)
+    tracker = make(scene)
+    faces = [face_of(standing_at(*place), "f{}".format(number)) for number, place in enumerate(people)]
+    faces = [replace(face, stamp=0.5) for face in faces] if late_faces else []
+    stamp = run(tracker, 0.0, 30, faces, [box_of(*place) for place in people], image=textured())
+    before = {track.id: track.estimate.centre for track in tracker.published(stamp)}
+    assert len(before) == 2
+    scale, shift = 1.5, np.array([-540.0, -180.0])
+    image = cv2.warpAffine(textured(), np.column_stack([scale * np.eye(2), shift]), (1280, 720))
+    scene.people, scene.scale = [tuple(scale * np.array(place) + shift) for place in people], scale * 200.0
+    stamp = run(tracker, stamp, 3, faces, image=image)
+    after = {track.id: track.estimate.centre for track in tracker.published(stamp)}
+    assert after.keys() == before.keys()
+    for name, centre in after.items():
+        np.testing.assert_allclose(centre, scale * before[name] + shift, atol=15.0)
 
 
 @pytest.mark.parametrize("aside, face, looked_at", [(40, True, ["b0"]), (60, False, []), (400, True, [])])

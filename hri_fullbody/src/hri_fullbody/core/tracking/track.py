@@ -13,6 +13,7 @@ from hri_fullbody.core.detection.windows import FACE_WINDOW_SIZES, FaceBox, Wind
 from hri_fullbody.core.keypoints import BLAZE_EARS, BLAZE_NOSE
 from hri_fullbody.core.tracking.reidentification import blend
 from hri_pipeline.core.image_rotation import ImageRotation
+from hri_pipeline.core.picture_jumps import Jump
 from hri_pipeline.core.tracks import TrackLife
 
 # Standard deviations of the model, measured in body sizes (px) where the image is meant.
@@ -75,6 +76,11 @@ class ConstantVelocity:
         self.velocity = self.velocity + gain[:, 1] * error
         self.stamp = float(stamp)
 
+    def scale(self, factor: float) -> None:
+        """Measure everything in a unit that is `factor` times smaller."""
+        self.value, self.velocity = factor * self.value, factor * self.velocity
+        self._variances = [(factor ** 2 * pp, factor ** 2 * pv, factor ** 2 * vv) for pp, pv, vv in self._variances]
+
     def _grown(self, step: float, acceleration: float) -> List[_Variances]:
         """What `_variances` are after `step` s."""
         noise = acceleration ** 2
@@ -119,6 +125,14 @@ class BodyMotion:
         if self._space is not None:
             self._space.value = rotation.vectors(self._space.value)
             self._space.velocity = rotation.vectors(self._space.velocity)
+
+    def jump(self, jump: Jump) -> None:
+        """Go with a picture that has jumped. How far away the body is begins anew: whether the camera's calibration
+        tells of its zoom is not known."""
+        self.size *= jump.scale
+        self._image.scale(jump.scale)
+        self._image.value = self._image.value + jump.shift
+        self._space = None
 
     def predicted_centre(self, stamp: float) -> np.ndarray:
         """Middle of the trunk (2,) px at `stamp`."""
@@ -419,6 +433,15 @@ class BodyTrack:
         self._expected = None
         self._face_centre, self._face_when_seen = (
             None if centre is None else rotation.pixels(centre[None])[0]
+            for centre in (self._face_centre, self._face_when_seen))
+
+    def jump(self, jump: Jump) -> None:
+        """Go with a picture that has jumped: the body is where it was in what the picture shows."""
+        self.detection = replace(self.detection, estimate=self.estimate.jumped(jump))
+        self.motion.jump(jump)
+        self._carried, self._expected = jump.scale * self._carried, None
+        self._face_centre, self._face_when_seen = (
+            None if centre is None else jump.pixels(centre[None])[0]
             for centre in (self._face_centre, self._face_when_seen))
 
     def cut_off(self, stamp: float) -> None:

@@ -50,6 +50,7 @@ from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.ignored_regions import IgnoredRegions
 from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.images import PictureCuts
+from hri_pipeline.core.picture_jumps import Jump
 from hri_pipeline.core.scheduler import InferenceScheduler, Request
 from hri_pipeline.core.tracks import TrackLife, assign
 
@@ -57,9 +58,8 @@ Locate = Callable[[PoseEstimate], Optional[np.ndarray]]
 IsHuman = Callable[[np.ndarray, np.ndarray], bool]
 
 _SECOND_OFFSET, _SECOND_SHARE = 0.12, 0.75
-_OCCLUDED_SHARE = 0.15
+_OCCLUDED_SHARE, _DESCRIBE_S = 0.15, 0.4
 _ONE_PLACE = 0.5        # of the smaller box of two bodies of which one began where the other was hidden
-_DESCRIBE_S = 0.4
 # Sizes of the mirrored windows, in that of its own, in which a body must be seen of which the detector is unsure: of 37
 # in photographs of people that were cut, covered, darkened or shrunk 35 are, of 11 in a flag none.
 _MIRRORED_WINDOWS = (1.0, 0.85, 1.18)
@@ -106,10 +106,11 @@ class BodyTracker:
         self._candidates = CandidateQueue()
         self._refused = RefusedPlaces()
         self._prepared: Dict[str, Tuple[Window, PoseEstimate]] = {}
-        self._cuts = PictureCuts()
+        self._cuts = PictureCuts(jumps=True)
         self._shown_faces: Set[str] = set()
         self._stale_faces: Set[str] = set()
-        self._stale_until = self._followed_at = -math.inf
+        self._stale_until = self._followed_at = self._jumped_at = -math.inf
+        self._carried = False
         self._locate: Locate = lambda estimate: None
         self.tracks: List[BodyTrack] = []
         self.windows = 0
@@ -138,8 +139,18 @@ class BodyTracker:
 
         moved: where points (N, 2) px of that are in this one.
         """
+        self._carried = True
         for track in self.tracks:
             track.carry(moved(track.place[None])[0] - track.place)
+
+    def _jump(self, jump: Jump, stamp: float) -> None:
+        """Move all bodies with a picture that has jumped, and look at each in the image of `stamp` (s)."""
+        self._candidates.clear()
+        self._refused.clear()
+        self._jumped_at = stamp
+        for track in self.tracks:
+            track.jump(jump)
+            self.schedule.renew(track.id)
 
     def boxes(self) -> List[np.ndarray]:
         """Return the boxes (4,) px of those who are seen, where they were in the last image."""
@@ -151,7 +162,7 @@ class BodyTracker:
         self._candidates.clear()
         self._refused.clear()
         self._cuts.reset()
-        self._stale_until = self._followed_at = -math.inf
+        self._stale_until = self._followed_at = self._jumped_at = -math.inf
         self.schedule.reset()
 
     def published(self, stamp: float) -> List[BodyTrack]:
@@ -178,6 +189,9 @@ class BodyTracker:
             for track in self.tracks:
                 track.cut_off(stamp)
             self._stale_faces, self._stale_until = self._shown_faces, stamp + _STALE_S
+        elif self._cuts.jump is not None and not self._carried:
+            self._jump(self._cuts.jump, stamp)
+        self._carried = False
         if self._cuts.blank:    # the network makes bodies of noise, which drift to a neighbour
             if stamp - self._cuts.shown_at > _LONGEST_BLANK:
                 for track in self.tracks:
@@ -297,7 +311,8 @@ class BodyTracker:
                 self._candidates.give_up(candidate.face_id, stamp)
 
     def _fresh(self, faces: Sequence[FaceBox], stamp: float) -> Sequence[FaceBox]:
-        """The faces without those that may be of the picture before a cut."""
+        """The faces without those that may be of the picture before a cut or a jump."""
+        faces = [face for face in faces if face.stamp is None or face.stamp >= self._jumped_at]
         return faces if stamp >= self._stale_until else [face for face in faces if face.id not in self._stale_faces]
 
     def _has_track(self, box: np.ndarray, stamp: float) -> bool:
