@@ -209,8 +209,8 @@ class BodyTrack:
 
     visible: its last inference found it. inferred_at: stamp of that. misses: inferences in a row that did not find it.
     left: it moved when it was missed at a side of the image. hidden: it was missed, and not at a side. cut: the picture
-    has changed since it was seen. returning: it was seen once after a gap. kept: it was missed once, in images that
-    come so slowly that this says little.
+    has changed since it was seen. darkened: it stood there when the images began to show nothing. returning: it was
+    seen once after a gap. kept: it was missed once, in images that come so slowly that this says little.
     mistaken: it was last seen in the clothes of a hidden neighbour, on whom it may lie. met: ids of the bodies that
     overlapped with this one since it is hidden.
     box_confirmed: None until the person detector was asked for the body, then whether it has ever seen a person there.
@@ -228,7 +228,7 @@ class BodyTrack:
         self.stamp = stamp
         self.visible = True
         self.hidden = self.left = False
-        self.cut = False
+        self.cut = self.darkened = False
         self.returning = self.kept = self.mistaken = False
         self.met: Set[str] = set()
         self.inferred_at = stamp
@@ -282,9 +282,10 @@ class BodyTrack:
         self._face_stamp, self._face_centre = stamp, face.centre
 
     def had_face_at(self, face: FaceBox, stamp: float) -> bool:
-        """Tell whether this body's own face was last seen where `face` is, so lately that it is still held."""
-        return (self.face_id is not None and self._face_centre is not None and stamp - self._face_stamp <= _FACE_HOLD
-                and face.distance(self._face_centre) <= _SAME_FACE)
+        """Tell whether this body's own face was last seen where `face` is, so lately that it is still held; whose face
+        is there after a dark is not known."""
+        return (self.face_id is not None and self._face_centre is not None and not self.darkened
+                and stamp - self._face_stamp <= _FACE_HOLD and face.distance(self._face_centre) <= _SAME_FACE)
 
     def forget_lost_face(self, stamp: float) -> None:
         """Let go of a face that has not been reported for half a second."""
@@ -375,7 +376,8 @@ class BodyTrack:
         self.described_at = self.described_at if detection.appearance is None else stamp
         if self.cut:
             self.box_confirmed, self.born_at = None, stamp
-        self.visible, self.hidden, self.cut, self.inferred_at, self.misses = True, False, False, stamp, 0
+        self.visible, self.inferred_at, self.misses = True, stamp, 0
+        self.hidden = self.cut = self.darkened = False
         self.kept = self.mistaken = False
         self.met.clear()
         self.motion.update(detection.estimate.centre, detection.estimate.extent, detection.root, stamp,
@@ -447,9 +449,18 @@ class BodyTrack:
     def cut_off(self, stamp: float) -> None:
         """Note that the image shows something else than the one before: the body is neither there nor hidden, until
         somebody with its clothes is; its face was that of the picture before."""
-        self.cut = True
+        self.cut, self.darkened = True, False
         self.face_id = None
         self.missed(stamp)
+
+    def darken(self, stamp: float) -> None:
+        """Note that images have shown nothing for long: who stood is waited for where he was, while that is so, and
+        with his face; of the others it is not known where they are."""
+        face, stood = self.face_id, self.darkened or (self.visible and self.motion.speed() < _STILL)
+        self.cut_off(stamp)
+        if stood:
+            self.darkened, self.face_id, self._face_stamp = True, face, stamp
+            self.life.last_seen = stamp
 
     def missed(self, stamp: float) -> None:
         """Note that an inference did not find the body."""

@@ -26,13 +26,13 @@ from hri_fullbody.core.detection.pose_estimator import (
 from hri_fullbody.core.detection.windows import FACE_WINDOW_SIZES, FaceBox, Window, head_box, window_from_face
 from hri_fullbody.core.tracking.association import (
     MAX_COST,
-    NOSE_IN_FACE,
     association_cost,
     confirm_by_boxes,
     cost_matrix,
     drop_unconfirmed,
     end_rivalries,
     judge_mistaken,
+    link_faces,
     nearest_face,
     waiting_in,
 )
@@ -65,7 +65,7 @@ _ONE_PLACE = 0.5        # of the smaller box of two bodies of which one began wh
 _MIRRORED_WINDOWS = (1.0, 0.85, 1.18)
 _LEAST_INSIDE = 0.25    # of the box of the landmarks that are seen: what lies outside the image is made up
 _STALE_S = 0.5          # after a cut of the picture, faces of before it may still be told for so long
-_LONGEST_BLANK = 0.3    # s of images of nothing, after which place tells too little of who is who in a crowd
+_LONGEST_BLANK = 0.3    # s of images of nothing, after which place alone tells too little of who is who in a crowd
 SLOW_S = 0.25
 """Images that come more slowly (s) need not take the same time each, and who is there is found in few of them."""
 _OVERDUE = 1.5      # times as long as others lately waited for their inference
@@ -195,7 +195,7 @@ class BodyTracker:
         if self._cuts.blank:    # the network makes bodies of noise, which drift to a neighbour
             if stamp - self._cuts.shown_at > _LONGEST_BLANK:
                 for track in self.tracks:
-                    track.cut_off(stamp)
+                    track.darken(stamp)
             self._judge_hidden(stamp, image.shape[1], ())
             self.tracks = [track for track in self.tracks if not track.dead(stamp)]
             return
@@ -213,7 +213,7 @@ class BodyTracker:
         near = [nearest_face(detection, faces) for detection in detections]
         doubles = self._associate(distinct(detections, [face.id if face else None for face in near]), chosen, stamp,
                                   faces)
-        self._link_faces(faces, stamp)
+        link_faces(self.tracks, faces, stamp)
         self._judge_hidden(stamp, image.shape[1], doubles)
         judge_mistaken(self.tracks, stamp, faces)
         self.tracks = [track for track in self.tracks if not track.dead(stamp)]
@@ -591,21 +591,6 @@ class BodyTracker:
                 return face
         track.forget_lost_face(stamp)
         return None
-
-    def _link_faces(self, faces: Sequence[FaceBox], stamp: float) -> None:
-        """Give free faces to the bodies whose face was at their place until a moment ago under another id, others to
-        the bodies just seen whose nose lies in them."""
-        here = {face.id for face in faces}
-        free = [face for face in faces if self._owner(face) is None]
-        for face in list(free):
-            heirs = [track for track in self.tracks if track.face_id not in here and track.had_face_at(face, stamp)]
-            if len(heirs) == 1:
-                heirs[0].link(face, stamp)
-                free.remove(face)
-        tracks = [track for track in self.tracks if track.visible and track.stamp == stamp and track.face_id is None]
-        cost = np.array([[face.distance(track.estimate.nose) for face in free] for track in tracks])
-        for row, column in assign(cost.reshape(len(tracks), len(free)), NOSE_IN_FACE):
-            tracks[row].link(free[column], stamp)
 
 
 def _at_one_place(a: PoseEstimate, b: PoseEstimate) -> bool:
