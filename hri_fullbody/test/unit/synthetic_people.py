@@ -49,13 +49,14 @@ class Scene:
         self.people: List[Tuple[float, float]] = list(people)
         self.windows: List[Window] = []
         self.favourite: Optional[int] = None
+        self.scale = 200.0      # px per metre
 
     def estimate(self, image: np.ndarray, window: Window, hidden: Sequence[np.ndarray] = (),
                  shown: Optional[np.ndarray] = None, mirrored: bool = False) -> PoseEstimate:
         self.windows.append(window)
         best, least = None, window.size / 2.0
         for index, (x, y) in enumerate(self.people):
-            candidate = standing_at(x, y)
+            candidate = standing_at(x, y, self.scale)
             nose = candidate.nose
             if any(box[0] < nose[0] < box[2] and box[1] < nose[1] < box[3] for box in hidden):
                 continue

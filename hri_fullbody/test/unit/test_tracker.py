@@ -1,9 +1,11 @@
 import itertools
+from dataclasses import replace
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
-from synthetic_people import Scene, face_of, standing_at
+from synthetic_people import Scene, Walkers, face_of, standing_at
 
 from hri_fullbody.core.tracking.tracker import BodyTracker
 from hri_pipeline.core.error_log import ItemGuard
@@ -83,6 +85,36 @@ def test_nobody_is_waited_for_behind_a_cut_of_the_picture():
     assert tracker.tracks == []
 
 
+def textured():
+    """A picture of many rectangles, whose corners tell of a zoom."""
+    random = np.random.default_rng(3)
+    image = np.full((720, 1280, 3), 110, np.uint8)
+    for x, y, w, h in zip(*random.integers(((0,), (0,), (12,), (12,)), ((1280,), (720,), (120,), (120,)), (4, 400))):
+        image[y:y + h, x:x + w] = random.integers(0, 255, 3)
+    return image
+
+
+@pytest.mark.parametrize("late_faces", [False, True])
+def test_bodies_keep_their_ids_where_the_camera_zooms(late_faces):
+    """What comes to lie where the other one was is not the other one; nor does a face that was seen before tell so."""
+    people = [(500.0, 400.0), (700.0, 400.0)]
+    scene = Scene(people)
+    tracker = make(scene)
+    faces = [face_of(standing_at(*place), "f{}".format(number)) for number, place in enumerate(people)]
+    faces = [replace(face, stamp=0.5) for face in faces] if late_faces else []
+    stamp = run(tracker, 0.0, 30, faces, [box_of(*place) for place in people], image=textured())
+    before = {track.id: track.estimate.centre for track in tracker.published(stamp)}
+    assert len(before) == 2
+    scale, shift = 1.5, np.array([-540.0, -180.0])
+    image = cv2.warpAffine(textured(), np.column_stack([scale * np.eye(2), shift]), (1280, 720))
+    scene.people, scene.scale = [tuple(scale * np.array(place) + shift) for place in people], scale * 200.0
+    stamp = run(tracker, stamp, 3, faces, image=image)
+    after = {track.id: track.estimate.centre for track in tracker.published(stamp)}
+    assert after.keys() == before.keys()
+    for name, centre in after.items():
+        np.testing.assert_allclose(centre, scale * before[name] + shift, atol=15.0)
+
+
 @pytest.mark.parametrize("aside, face, looked_at", [(40, True, ["b0"]), (60, False, []), (400, True, [])])
 def test_who_overlaps_a_new_body_with_a_face_is_looked_at_in_the_next_image(monkeypatch, aside, face, looked_at):
     """It may be a body that the network made of two: beside a load it went on for seconds."""
@@ -124,7 +156,7 @@ def test_who_was_there_when_the_light_went_off_is_waited_for(x):
     run(tracker, stamp, 4, boxes=[box_of(x, 400)], image=NOISE)
     assert [(track.id, track.visible) for track in tracker.tracks] == [("b0", True)]
     scene.people = []
-    run(tracker, run(tracker, stamp + 4 * STEP, 3), 33)
+    run(tracker, run(tracker, stamp + 4 * STEP, 3), 80)
     assert tracker.tracks == []
 
 
@@ -166,6 +198,42 @@ def test_who_was_not_seen_for_a_while_is_waited_for_behind_a_black_image_as_befo
     assert [(track.id, track.hidden) for track in tracker.tracks] == [("b0", True)]
     run(tracker, run(tracker, stamp, 8), 5, image=NOISE)     # what is where is not known after so long a dark
     assert tracker.tracks == []
+
+
+@pytest.mark.parametrize("moved, clothes, walks, kept", [
+    (0, (40, 40, 200), False, True), (30, (40, 40, 200), False, True), (230, (40, 40, 200), False, False),
+    (0, (200, 60, 40), False, False), (0, (40, 40, 200), True, False)],
+    ids=["same", "a step aside", "elsewhere", "other clothes", "was walking"])
+def test_who_stood_when_the_light_went_is_the_same_two_seconds_later(moved, clothes, walks, kept):
+    scene = Walkers([(300 if walks else 600, 400)], [(40, 40, 200)])
+    tracker = make(scene)
+
+    def picture():
+        image = NOISE.copy()
+        shown = scene.image()
+        mask = (shown != 90).any(axis=2)
+        image[mask] = shown[mask]
+        return image
+
+    stamp = run(tracker, 0.0, 1, boxes=[box_of(*scene.people[0])], image=picture())
+    for _ in range(30):
+        scene.people = [(scene.people[0][0] + (10 if walks else 0), 400)]
+        stamp = run(tracker, stamp, 1, boxes=[box_of(*scene.people[0])], image=picture())
+    assert [track.id for track in tracker.published(stamp)] == ["b0"]
+    stamp = run(tracker, stamp, 40)
+    scene.people, scene.colours = [(scene.people[0][0] + moved, 400)], [clothes]
+    stamp = run(tracker, stamp, 12, boxes=[box_of(*scene.people[0])], image=picture())
+    assert [track.id for track in tracker.published(stamp)] == (["b0"] if kept else ["b1"])
+
+
+@pytest.mark.parametrize("after, kept", [("f0", True), ("f1", False)])
+def test_a_face_tells_who_stands_there_when_the_light_is_back(after, kept):
+    scene = Scene([(600, 400)])
+    tracker = make(scene)
+    stamp = run(tracker, 0.0, 30, [face_of(standing_at(600, 400), "f0")], [box_of(600, 400)], image=NOISE)
+    stamp = run(tracker, stamp, 40)
+    run(tracker, stamp, 12, [face_of(standing_at(600, 400), after)], [box_of(600, 400)], image=NOISE)
+    assert [track.id for track in tracker.published(stamp + 12 * STEP)] == (["b0"] if kept else ["b1"])
 
 
 def test_after_a_dark_that_ends_with_another_picture_nobody_is_waited_for():

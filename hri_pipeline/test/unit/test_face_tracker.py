@@ -21,6 +21,7 @@ from hri_pipeline.core.faces.tracker import (
 )
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.image_rotation import ImageRotation
+from hri_pipeline.core.picture_jumps import Jump
 
 STEP = 1.0 / 15.0
 VIEW = (1280, 720)
@@ -313,6 +314,28 @@ def test_a_face_is_expected_where_it_goes_in_an_image_that_is_turned_from_now_on
     measured = face(400.0)
     faces.update([dataclasses.replace(measured, mesh=turn.pixels(measured.mesh))], 30 * STEP, view=VIEW[::-1])
     assert [one.id for one in faces.tracks] == [track.id] and track.visible
+
+
+def test_a_face_is_expected_where_it_is_after_a_zoom_and_goes_on():
+    faces, jump = tracker(), Jump(2.0, np.array([-640.0, -360.0]))
+    run(faces, *[[face(500.0), face(800.0)] for _ in range(30)])
+    for track in faces.tracks:
+        before = track.predicted_box(30 * STEP)
+        track.jump(jump)
+        assert track.predicted_box(30 * STEP) == pytest.approx(jump.pixels(before.reshape(2, 2)).ravel(), abs=1e-6)
+        assert track.size == pytest.approx(200.0, rel=0.01)
+    names = [track.id for track in faces.tracks]
+    # Without the jump the second face is about where the first one was.
+    seen = faces.update([face(960.0, 40.0, 200.0), face(360.0, 40.0, 200.0)], 30 * STEP, view=VIEW)
+    assert [track.id for track in seen] == names and seen[0].measurement.box[0] < seen[1].measurement.box[0]
+
+
+def test_the_crop_of_a_face_grows_with_a_zoom():
+    detected, first = FaceRoi(np.array([200.0, 300.0]), 100.0, 0.1), FaceRoi(np.array([200.0, 300.0]), 120.0, 0.3)
+    anchor = CropAnchor(detected, first)
+    anchor.jump(Jump(2.0, np.zeros(2)))
+    assert anchor.hold(FaceRoi(np.array([400.0, 600.0]), 100.0, 0.3), 1.0).size == pytest.approx(
+        2.0 * CropAnchor(detected, first).hold(FaceRoi(np.array([200.0, 300.0]), 50.0, 0.3), 1.0).size)
 
 
 def test_the_crop_of_a_face_turns_with_the_images():

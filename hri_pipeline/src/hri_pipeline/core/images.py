@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from hri_pipeline.core.image_rotation import ImageRotation
+from hri_pipeline.core.picture_jumps import Jump, find_jump, picture_of
 
 MAX_SIDE = 8192
 DEPTH_ENCODINGS: Tuple[str, ...] = ("16UC1", "mono16", "32FC1")
@@ -379,6 +380,11 @@ _MOST_MOTION = 0.25
 """Part of the picture by which it may move from one image to the next."""
 _CUT = 0.5
 """Correlation of two pictures, moved against each other at best, below which they show something else."""
+_CALM = 0.9
+"""Correlation from which the picture may have moved, but has not jumped: a zoom of 1.15 leaves .61 to .86 of it, a pan
+.92 and more, of ten photographs."""
+_NEXT_TRY = 0.5
+"""Time (s) for which no jump is looked for after there was none: a camera that turns fast changes each image."""
 _CUT_IN_BLANK = 0.8
 """The same for a picture after one of nothing: one scene has .79 and more when the light comes back, overexposed too;
 photographs of two scenes up to .62, of two people alike in place and size .76."""
@@ -424,9 +430,17 @@ class PictureCuts:
     An image that suddenly shows nothing (no light, a covered lens, a broken image) is no cut: what comes after it is
     compared with what was there before. So is one of which a part was not received. One that shows something else is a
     cut at once, although cameras and networks send such images now and then: so does a camera that turns fast.
+
+    Nor is it a cut where the camera has zoomed, or the picture has jumped: `jump` tells where things are.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, jumps: bool = False) -> None:
+        """jumps: whether they are looked for, which takes some 10 ms after each sudden change; else they are cuts."""
+        self._jumps = jumps
+        self.jump: Optional[Jump] = None
+        """Where what the image before has shown is in the last one, None where it is about where it was."""
+        self._picture: Optional[np.ndarray] = None
+        self._no_jump_at = -math.inf    # when one was looked for in vain
         self._last: Optional[np.ndarray] = None
         self._contrast = 0.0        # of the last image that showed something
         self._flat = 0              # rows of it that are of one colour
@@ -447,39 +461,54 @@ class PictureCuts:
         passed = stamp - self.shown_at if self._last is not None else math.inf
         is_empty = 0.0 <= passed <= _LONGEST_BLANK and contrast < min(_EMPTY, _FADED * self._contrast)
         self._was_empty |= is_empty
+        self.jump = None
         self.blank = is_empty or (0.0 < passed <= LONGEST_FLAW and flat - self._flat > _FLAT_PART * _SIDE)
         if self.blank:
             self.changed = False
             return False
-        is_cut = self._is_cut(small, contrast, _CUT_IN_BLANK if self._was_empty else _CUT)
+        likeness = self._likeness(small, contrast)
+        is_cut = likeness < (_CUT_IN_BLANK if self._was_empty else _CUT)
+        if self._jumps:
+            if likeness < _CALM and not 0.0 <= stamp - self._no_jump_at < _NEXT_TRY:
+                self.jump = self._find_jump(bgr, is_cut)
+                self._no_jump_at = stamp if self.jump is None else -math.inf
+            self._picture = picture_of(bgr)
+        is_cut = is_cut and self.jump is None
         self._was_empty = False
         self._last, self._contrast, self._flat, self.shown_at = small, contrast, flat, stamp
         return is_cut
 
-    def _is_cut(self, small: np.ndarray, contrast: float, least: float) -> bool:
-        """Whether a small picture correlates with the last one by less than `least`; notes whether most has changed."""
+    def _likeness(self, small: np.ndarray, contrast: float) -> float:
+        """Correlation of a small picture with the last one, 1 where most stays as it was, which is noted."""
         last = self._last
         self.changed = last is not None and bool(
             np.count_nonzero(cv2.absdiff(small, last) < _STAYED_BY) < _STAYED * small.size)
         if last is None or not self.changed or max(self._contrast, contrast) < _EMPTY:
-            return False
+            return 1.0
         if min(self._contrast, contrast) < _FADED * _EMPTY:
-            return True
+            return -1.0
         margin = int(_SIDE * _MOST_MOTION)
         inner = small[margin:-margin, margin:-margin]
         if _deviation(inner) < _EMPTY:
-            return float(np.corrcoef(small.ravel(), last.ravel())[0, 1]) < least
-        return float(cv2.matchTemplate(last, inner, cv2.TM_CCOEFF_NORMED).max()) < least
+            return float(np.corrcoef(small.ravel(), last.ravel())[0, 1])
+        return float(cv2.matchTemplate(last, inner, cv2.TM_CCOEFF_NORMED).max())
+
+    def _find_jump(self, bgr: np.ndarray, is_cut: bool) -> Optional[Jump]:
+        """Return the jump to an image (H, W, 3). What is as large as before, and not so far away that it would be a
+        cut, is found by its motion, which goes on."""
+        jump = None if self._picture is None else find_jump(self._picture, bgr)
+        return jump if jump is not None and (is_cut or jump.has_grown) else None
 
     def turn(self, rotation: ImageRotation) -> None:
         """Turn the last image."""
         if self._last is not None:
             self._last = rotation.image(self._last)
             self._flat = _flat_rows(self._last)
+        self._picture = None if self._picture is None else rotation.image(self._picture)
 
     def reset(self) -> None:
         """Forget the last image."""
-        self._last, self.blank, self._was_empty = None, False, False
+        self._last, self._picture, self.jump, self.blank, self._was_empty = None, None, None, False, False
 
     @staticmethod
     def _small(bgr: np.ndarray) -> np.ndarray:

@@ -23,6 +23,7 @@ from hri_fullbody.core.keypoints import (
 from hri_pipeline.core.geometry import crop_rotated, median_of_few
 from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.onnx import FETCH_HINT, ModelError, OnnxModel, model_path, models_directory
+from hri_pipeline.core.picture_jumps import Jump
 from hri_pipeline.core.process import ONE_THREAD, Threads
 
 INPUT_SIZE = 256
@@ -89,6 +90,10 @@ class PoseEstimate:
     def turned(self, rotation: ImageRotation) -> PoseEstimate:
         """Return what the network would see in the turned image."""
         return replace(self, landmarks=rotation.pixels(self.landmarks), world=rotation.vectors(self.world))
+
+    def jumped(self, jump: Jump) -> PoseEstimate:
+        """Return what the network would see after the picture has jumped."""
+        return replace(self, landmarks=jump.pixels(self.landmarks))
 
     def head_box(self) -> np.ndarray:
         """Box (4,) px of the head, around the landmarks of nose, eyes, ears and mouth."""

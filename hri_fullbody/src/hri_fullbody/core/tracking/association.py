@@ -95,7 +95,7 @@ def _return_distance(track: BodyTrack, detection: PoseDetection, stamp: float) -
     centre = detection.estimate.centre
     offset = min(math.hypot(*(centre - place)) for place in (
         track.place, track.estimate.centre + track.moved(stamp))) / track.motion.size
-    gap = max(0.0, stamp - track.stamp)
+    gap = 0.0 if track.darkened else max(0.0, stamp - track.stamp)
     larger = math.log(detection.estimate.extent / track.motion.size)
     return math.hypot(offset / (_RETURN_SD + _RETURN_SPEED_SD * gap),
                       larger / (_RETURN_SIZE_SD + _RETURN_SIZE_SPEED_SD * gap))
@@ -115,7 +115,8 @@ def cost_matrix(tracks: Sequence[BodyTrack], detections: Sequence[PoseDetection]
         seen_in = nearest_face(detection, faces)
         owner = owners.get(seen_in.id) if seen_in is not None else None
         for row, track in enumerate(tracks):
-            foreign = owner not in (None, track.id)
+            foreign = owner not in (None, track.id) or (
+                track.darkened and seen_in is not None and track.face_id not in (None, seen_in.id))
             if track.face_id not in own and _shows_another(track, detection, tracks, stamp):
                 continue
             costs[row, column] = association_cost(track, detection, stamp, own.get(track.face_id or ""), foreign)
@@ -183,6 +184,22 @@ def nearest_face(detection: PoseDetection, faces: Sequence[FaceBox]) -> Optional
     nose = detection.estimate.nose
     best = min(faces, key=lambda face: face.distance(nose), default=None)
     return best if best is not None and best.distance(nose) <= NOSE_IN_FACE else None
+
+
+def link_faces(tracks: Sequence[BodyTrack], faces: Sequence[FaceBox], stamp: float) -> None:
+    """Give free faces to the bodies whose face was at their place until a moment ago under another id, others to the
+    bodies just seen whose nose lies in them."""
+    here, owned = {face.id for face in faces}, {track.face_id for track in tracks}
+    free = [face for face in faces if face.id not in owned]
+    for face in list(free):
+        heirs = [track for track in tracks if track.face_id not in here and track.had_face_at(face, stamp)]
+        if len(heirs) == 1:
+            heirs[0].link(face, stamp)
+            free.remove(face)
+    alone = [track for track in tracks if track.visible and track.stamp == stamp and track.face_id is None]
+    cost = np.array([[face.distance(track.estimate.nose) for face in free] for track in alone])
+    for row, column in assign(cost.reshape(len(alone), len(free)), NOSE_IN_FACE):
+        alone[row].link(free[column], stamp)
 
 
 def confirm_by_boxes(tracks: Sequence[BodyTrack], boxes: Sequence[np.ndarray], stamp: float,

@@ -13,6 +13,7 @@ from hri_fullbody.core.detection.windows import FACE_WINDOW_SIZES, FaceBox, Wind
 from hri_fullbody.core.keypoints import BLAZE_EARS, BLAZE_NOSE
 from hri_fullbody.core.tracking.reidentification import blend
 from hri_pipeline.core.image_rotation import ImageRotation
+from hri_pipeline.core.picture_jumps import Jump
 from hri_pipeline.core.tracks import TrackLife
 
 # Standard deviations of the model, measured in body sizes (px) where the image is meant.
@@ -75,6 +76,11 @@ class ConstantVelocity:
         self.velocity = self.velocity + gain[:, 1] * error
         self.stamp = float(stamp)
 
+    def scale(self, factor: float) -> None:
+        """Measure everything in a unit that is `factor` times smaller."""
+        self.value, self.velocity = factor * self.value, factor * self.velocity
+        self._variances = [(factor ** 2 * pp, factor ** 2 * pv, factor ** 2 * vv) for pp, pv, vv in self._variances]
+
     def _grown(self, step: float, acceleration: float) -> List[_Variances]:
         """What `_variances` are after `step` s."""
         noise = acceleration ** 2
@@ -119,6 +125,14 @@ class BodyMotion:
         if self._space is not None:
             self._space.value = rotation.vectors(self._space.value)
             self._space.velocity = rotation.vectors(self._space.velocity)
+
+    def jump(self, jump: Jump) -> None:
+        """Go with a picture that has jumped. How far away the body is begins anew: whether the camera's calibration
+        tells of its zoom is not known."""
+        self.size *= jump.scale
+        self._image.scale(jump.scale)
+        self._image.value = self._image.value + jump.shift
+        self._space = None
 
     def predicted_centre(self, stamp: float) -> np.ndarray:
         """Middle of the trunk (2,) px at `stamp`."""
@@ -195,8 +209,8 @@ class BodyTrack:
 
     visible: its last inference found it. inferred_at: stamp of that. misses: inferences in a row that did not find it.
     left: it moved when it was missed at a side of the image. hidden: it was missed, and not at a side. cut: the picture
-    has changed since it was seen. returning: it was seen once after a gap. kept: it was missed once, in images that
-    come so slowly that this says little.
+    has changed since it was seen. darkened: it stood there when the images began to show nothing. returning: it was
+    seen once after a gap. kept: it was missed once, in images that come so slowly that this says little.
     mistaken: it was last seen in the clothes of a hidden neighbour, on whom it may lie. met: ids of the bodies that
     overlapped with this one since it is hidden.
     box_confirmed: None until the person detector was asked for the body, then whether it has ever seen a person there.
@@ -214,7 +228,7 @@ class BodyTrack:
         self.stamp = stamp
         self.visible = True
         self.hidden = self.left = False
-        self.cut = False
+        self.cut = self.darkened = False
         self.returning = self.kept = self.mistaken = False
         self.met: Set[str] = set()
         self.inferred_at = stamp
@@ -268,9 +282,10 @@ class BodyTrack:
         self._face_stamp, self._face_centre = stamp, face.centre
 
     def had_face_at(self, face: FaceBox, stamp: float) -> bool:
-        """Tell whether this body's own face was last seen where `face` is, so lately that it is still held."""
-        return (self.face_id is not None and self._face_centre is not None and stamp - self._face_stamp <= _FACE_HOLD
-                and face.distance(self._face_centre) <= _SAME_FACE)
+        """Tell whether this body's own face was last seen where `face` is, so lately that it is still held; whose face
+        is there after a dark is not known."""
+        return (self.face_id is not None and self._face_centre is not None and not self.darkened
+                and stamp - self._face_stamp <= _FACE_HOLD and face.distance(self._face_centre) <= _SAME_FACE)
 
     def forget_lost_face(self, stamp: float) -> None:
         """Let go of a face that has not been reported for half a second."""
@@ -361,7 +376,8 @@ class BodyTrack:
         self.described_at = self.described_at if detection.appearance is None else stamp
         if self.cut:
             self.box_confirmed, self.born_at = None, stamp
-        self.visible, self.hidden, self.cut, self.inferred_at, self.misses = True, False, False, stamp, 0
+        self.visible, self.inferred_at, self.misses = True, stamp, 0
+        self.hidden = self.cut = self.darkened = False
         self.kept = self.mistaken = False
         self.met.clear()
         self.motion.update(detection.estimate.centre, detection.estimate.extent, detection.root, stamp,
@@ -421,12 +437,30 @@ class BodyTrack:
             None if centre is None else rotation.pixels(centre[None])[0]
             for centre in (self._face_centre, self._face_when_seen))
 
+    def jump(self, jump: Jump) -> None:
+        """Go with a picture that has jumped: the body is where it was in what the picture shows."""
+        self.detection = replace(self.detection, estimate=self.estimate.jumped(jump))
+        self.motion.jump(jump)
+        self._carried, self._expected = jump.scale * self._carried, None
+        self._face_centre, self._face_when_seen = (
+            None if centre is None else jump.pixels(centre[None])[0]
+            for centre in (self._face_centre, self._face_when_seen))
+
     def cut_off(self, stamp: float) -> None:
         """Note that the image shows something else than the one before: the body is neither there nor hidden, until
         somebody with its clothes is; its face was that of the picture before."""
-        self.cut = True
+        self.cut, self.darkened = True, False
         self.face_id = None
         self.missed(stamp)
+
+    def darken(self, stamp: float) -> None:
+        """Note that images have shown nothing for long: who stood is waited for where he was, while that is so, and
+        with his face; of the others it is not known where they are."""
+        face, stood = self.face_id, self.darkened or (self.visible and self.motion.speed() < _STILL)
+        self.cut_off(stamp)
+        if stood:
+            self.darkened, self.face_id, self._face_stamp = True, face, stamp
+            self.life.last_seen = stamp
 
     def missed(self, stamp: float) -> None:
         """Note that an inference did not find the body."""

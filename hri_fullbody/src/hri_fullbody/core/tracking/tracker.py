@@ -26,13 +26,13 @@ from hri_fullbody.core.detection.pose_estimator import (
 from hri_fullbody.core.detection.windows import FACE_WINDOW_SIZES, FaceBox, Window, head_box, window_from_face
 from hri_fullbody.core.tracking.association import (
     MAX_COST,
-    NOSE_IN_FACE,
     association_cost,
     confirm_by_boxes,
     cost_matrix,
     drop_unconfirmed,
     end_rivalries,
     judge_mistaken,
+    link_faces,
     nearest_face,
     waiting_in,
 )
@@ -50,6 +50,7 @@ from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.ignored_regions import IgnoredRegions
 from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.images import PictureCuts
+from hri_pipeline.core.picture_jumps import Jump
 from hri_pipeline.core.scheduler import InferenceScheduler, Request
 from hri_pipeline.core.tracks import TrackLife, assign
 
@@ -57,15 +58,14 @@ Locate = Callable[[PoseEstimate], Optional[np.ndarray]]
 IsHuman = Callable[[np.ndarray, np.ndarray], bool]
 
 _SECOND_OFFSET, _SECOND_SHARE = 0.12, 0.75
-_OCCLUDED_SHARE = 0.15
+_OCCLUDED_SHARE, _DESCRIBE_S = 0.15, 0.4
 _ONE_PLACE = 0.5        # of the smaller box of two bodies of which one began where the other was hidden
-_DESCRIBE_S = 0.4
 # Sizes of the mirrored windows, in that of its own, in which a body must be seen of which the detector is unsure: of 37
 # in photographs of people that were cut, covered, darkened or shrunk 35 are, of 11 in a flag none.
 _MIRRORED_WINDOWS = (1.0, 0.85, 1.18)
 _LEAST_INSIDE = 0.25    # of the box of the landmarks that are seen: what lies outside the image is made up
 _STALE_S = 0.5          # after a cut of the picture, faces of before it may still be told for so long
-_LONGEST_BLANK = 0.3    # s of images of nothing, after which place tells too little of who is who in a crowd
+_LONGEST_BLANK = 0.3    # s of images of nothing, after which place alone tells too little of who is who in a crowd
 SLOW_S = 0.25
 """Images that come more slowly (s) need not take the same time each, and who is there is found in few of them."""
 _OVERDUE = 1.5      # times as long as others lately waited for their inference
@@ -106,10 +106,11 @@ class BodyTracker:
         self._candidates = CandidateQueue()
         self._refused = RefusedPlaces()
         self._prepared: Dict[str, Tuple[Window, PoseEstimate]] = {}
-        self._cuts = PictureCuts()
+        self._cuts = PictureCuts(jumps=True)
         self._shown_faces: Set[str] = set()
         self._stale_faces: Set[str] = set()
-        self._stale_until = self._followed_at = -math.inf
+        self._stale_until = self._followed_at = self._jumped_at = -math.inf
+        self._carried = False
         self._locate: Locate = lambda estimate: None
         self.tracks: List[BodyTrack] = []
         self.windows = 0
@@ -138,8 +139,18 @@ class BodyTracker:
 
         moved: where points (N, 2) px of that are in this one.
         """
+        self._carried = True
         for track in self.tracks:
             track.carry(moved(track.place[None])[0] - track.place)
+
+    def _jump(self, jump: Jump, stamp: float) -> None:
+        """Move all bodies with a picture that has jumped, and look at each in the image of `stamp` (s)."""
+        self._candidates.clear()
+        self._refused.clear()
+        self._jumped_at = stamp
+        for track in self.tracks:
+            track.jump(jump)
+            self.schedule.renew(track.id)
 
     def boxes(self) -> List[np.ndarray]:
         """Return the boxes (4,) px of those who are seen, where they were in the last image."""
@@ -151,7 +162,7 @@ class BodyTracker:
         self._candidates.clear()
         self._refused.clear()
         self._cuts.reset()
-        self._stale_until = self._followed_at = -math.inf
+        self._stale_until = self._followed_at = self._jumped_at = -math.inf
         self.schedule.reset()
 
     def published(self, stamp: float) -> List[BodyTrack]:
@@ -178,10 +189,13 @@ class BodyTracker:
             for track in self.tracks:
                 track.cut_off(stamp)
             self._stale_faces, self._stale_until = self._shown_faces, stamp + _STALE_S
+        elif self._cuts.jump is not None and not self._carried:
+            self._jump(self._cuts.jump, stamp)
+        self._carried = False
         if self._cuts.blank:    # the network makes bodies of noise, which drift to a neighbour
             if stamp - self._cuts.shown_at > _LONGEST_BLANK:
                 for track in self.tracks:
-                    track.cut_off(stamp)
+                    track.darken(stamp)
             self._judge_hidden(stamp, image.shape[1], ())
             self.tracks = [track for track in self.tracks if not track.dead(stamp)]
             return
@@ -199,7 +213,7 @@ class BodyTracker:
         near = [nearest_face(detection, faces) for detection in detections]
         doubles = self._associate(distinct(detections, [face.id if face else None for face in near]), chosen, stamp,
                                   faces)
-        self._link_faces(faces, stamp)
+        link_faces(self.tracks, faces, stamp)
         self._judge_hidden(stamp, image.shape[1], doubles)
         judge_mistaken(self.tracks, stamp, faces)
         self.tracks = [track for track in self.tracks if not track.dead(stamp)]
@@ -297,7 +311,8 @@ class BodyTracker:
                 self._candidates.give_up(candidate.face_id, stamp)
 
     def _fresh(self, faces: Sequence[FaceBox], stamp: float) -> Sequence[FaceBox]:
-        """The faces without those that may be of the picture before a cut."""
+        """The faces without those that may be of the picture before a cut or a jump."""
+        faces = [face for face in faces if face.stamp is None or face.stamp >= self._jumped_at]
         return faces if stamp >= self._stale_until else [face for face in faces if face.id not in self._stale_faces]
 
     def _has_track(self, box: np.ndarray, stamp: float) -> bool:
@@ -576,21 +591,6 @@ class BodyTracker:
                 return face
         track.forget_lost_face(stamp)
         return None
-
-    def _link_faces(self, faces: Sequence[FaceBox], stamp: float) -> None:
-        """Give free faces to the bodies whose face was at their place until a moment ago under another id, others to
-        the bodies just seen whose nose lies in them."""
-        here = {face.id for face in faces}
-        free = [face for face in faces if self._owner(face) is None]
-        for face in list(free):
-            heirs = [track for track in self.tracks if track.face_id not in here and track.had_face_at(face, stamp)]
-            if len(heirs) == 1:
-                heirs[0].link(face, stamp)
-                free.remove(face)
-        tracks = [track for track in self.tracks if track.visible and track.stamp == stamp and track.face_id is None]
-        cost = np.array([[face.distance(track.estimate.nose) for face in free] for track in tracks])
-        for row, column in assign(cost.reshape(len(tracks), len(free)), NOSE_IN_FACE):
-            tracks[row].link(free[column], stamp)
 
 
 def _at_one_place(a: PoseEstimate, b: PoseEstimate) -> bool:

@@ -14,6 +14,7 @@ from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.appearance import FaceLook, FaceMemory
 from hri_pipeline.core.faces.mesh import FaceRoi, bounding_box, eye_share, roi_from_mesh
 from hri_pipeline.core.image_rotation import ImageRotation
+from hri_pipeline.core.picture_jumps import Jump
 from hri_pipeline.core.tracks import TrackLife
 
 SIZE_WEIGHT = 0.7
@@ -122,6 +123,11 @@ class CropAnchor:
         """Turn with the images; the angle between both crops stays."""
         centre, angle = rotation.pixels(self._detected.centre[None])[0], 0.5 * math.pi * rotation.quarters
         self._detected = FaceRoi(centre, self._detected.size, math.remainder(self._detected.angle + angle, math.tau))
+
+    def jump(self, jump: Jump) -> None:
+        """Go with a picture that has jumped."""
+        before = self._detected
+        self._detected = FaceRoi(jump.pixels(before.centre[None])[0], jump.scale * before.size, before.angle)
 
     def hold(self, roi: FaceRoi, share: float) -> FaceRoi:
         """The crop `roi` of a face, held where it leaves the last detection; share: see `mesh.eye_share`."""
@@ -298,6 +304,15 @@ class FaceTrack:
         self._centre, self._predicted = rotation.pixels(self._centre[None])[0], None
         if self._anchor is not None:
             self._anchor.turn(rotation)
+
+    def jump(self, jump: Jump) -> None:
+        """Go with a picture that has jumped: the face is where it was in what the picture shows."""
+        self.measurement = replace(self.measurement, mesh=jump.pixels(self.measurement.mesh), crops=None)
+        self._velocity, self._moved = np.zeros(2), jump.scale * self._moved
+        self._centre, self._predicted = jump.pixels(self._centre[None])[0], None
+        self._size *= jump.scale
+        if self._anchor is not None:
+            self._anchor.jump(jump)
 
     def miss(self) -> None:
         """Note that the face was not found in this frame."""

@@ -36,6 +36,7 @@ from hri_pipeline.core.ignored_regions import IgnoredRegions
 from hri_pipeline.core.image_rotation import FaceOrientation, ImageRotation
 from hri_pipeline.core.images import LONGEST_FLAW, PictureCuts
 from hri_pipeline.core.person_detector import PersonDetector
+from hri_pipeline.core.picture_jumps import Jump
 from hri_pipeline.core.process import ONE_THREAD, Threads
 from hri_pipeline.core.scheduler import IdleShare, InferenceScheduler, Request
 from hri_pipeline.core.timing import StageTimes
@@ -117,7 +118,7 @@ class FaceTrackingPipeline:
         if person_detector is None:
             self._verifier.prepare()
         self._tracker = FaceTracker(judge=judge, doubts=self._verifier.doubts, **_limits(settings))
-        self._cuts = PictureCuts()
+        self._cuts = PictureCuts(jumps=True)
         self._orientation = FaceOrientation()
         self._anew_at = self._panned_at = -np.inf
         self._ignored = IgnoredRegions(settings.ignored_regions)
@@ -192,6 +193,8 @@ class FaceTrackingPipeline:
                 return []
             if was_blank and not self._cuts.blank:
                 self._search_anew(stamp)
+            if self._cuts.jump is not None:
+                self._jump(self._cuts.jump, stamp)
             self._predict(bgr, stamp)
         expected = self._tracker.expected(stamp)
         self._mesh_scheduler.share_among(self._mesh.threads, together=self._mesh.together_on_card(len(expected)))
@@ -229,6 +232,14 @@ class FaceTrackingPipeline:
         self._detection_scheduler.reset()
         for track in self._tracker.tracks:
             track.turn(rotation)
+
+    def _jump(self, jump: Jump, stamp: float) -> None:
+        """Move all that is known of earlier images with a picture that has jumped."""
+        for track in self._tracker.tracks:
+            track.jump(jump)
+        self._flow.reset()
+        self._verifier.reset()
+        self._search_anew(stamp)
 
     def reset(self) -> None:
         """Drop every face, as after a jump in time; ids are not used again."""
