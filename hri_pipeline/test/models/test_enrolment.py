@@ -30,9 +30,12 @@ def directory(tmp_path):
 
 def test_somebody_who_has_agreed_is_known_by_photographs(directory, tmp_path):
     cv2.imwrite(str(directory / "wall.png"), np.full((480, 640, 3), 128, np.uint8))
+    cv2.imwrite(str(directory / "burnt.png"), cv2.convertScaleAbs(cv2.imread(str(PICTURES / "one_2.jpg")), alpha=5.0))
     cipher = TemplateCipher(make_key_file(tmp_path / "key"))
     found = templates_of(photographs(directory))
-    assert len(found.templates) == 2 and found.left_out == ("wall.png: no faces, one is wanted",)
+    assert len(found.templates) == 2 and found.left_out == (
+        "burnt.png: the face is too small, blurred, dark, overexposed or turned away",
+        "wall.png: no faces, one is wanted")
     store = PersonStore(tmp_path / "private" / "people.sqlite", cipher)
     person = enrol(store, "Ada", found, 1000.0)
     record, = store.load_records()

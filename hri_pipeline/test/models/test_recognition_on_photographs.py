@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from benchmarks.labels import nearest_face
-from benchmarks.recognition import Encounters, identities, images, recognise_twice, recognising_stage
+from benchmarks.recognition import HFOV, Encounters, identities, images, recognise_twice, recognising_stage
 from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.faces.analysis import FaceDemand
 from hri_pipeline.core.onnx import ModelError, models_directory
 from hri_pipeline.core.recognition.embedding import FaceEmbedder, face_chip, load_face_embedder, similarity
 
@@ -40,6 +41,18 @@ def test_nobody_of_the_groups_is_taken_for_somebody_else():
     for of_image, image in images(wanted, models_directory()):
         encounters.show(of_image, image)
     assert encounters.counts == {"right": 6, "wrong": 0, "unknown": 0}, encounters.mistakes
+
+
+def test_nobody_new_is_made_of_faces_that_are_burnt_white():
+    """To the network all of them are one person, and none is the person in better light."""
+    stage, image = recognising_stage(), cv2.resize(portrait(), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    burnt = np.clip(2.5 * image.astype(np.float32) + 20.0, 0.0, 255.0).astype(np.uint8)
+    camera = CameraModel.from_fov(image.shape[1], image.shape[0], HFOV)
+    for number in range(15):
+        faces = stage.update(burnt, camera, 1000.0 + 0.2 * number, demand=FaceDemand(recognition=True))
+    assert len(faces) == 3 and stage.recognition.recogniser.status()["learnt_persons"] == 0
+    assert stage.status()["recognition_unknown_why"].count("not seen well yet, overexposed") == 3
+    stage.close()
 
 
 def portrait():

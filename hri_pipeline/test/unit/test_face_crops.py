@@ -9,6 +9,7 @@ from hri_pipeline.core.faces.crops import (
     MAX_SIZE,
     aligned_crop,
     box_crop,
+    burnt_part,
     crop_quality,
     cut,
     judge_crop,
@@ -106,6 +107,10 @@ def facing(yaw_deg):
     return Pose(turn @ UPRIGHT, np.array([0.0, 0.0, 1.0]))
 
 
+def overexposed(crop, gain):
+    return np.clip(gain * crop.astype(np.float32), 0, 255).astype(np.uint8)
+
+
 def test_quality_falls_with_every_fault():
     points = points_at((300, 200), 150)
     crop = texture()
@@ -135,6 +140,20 @@ def test_a_crop_says_what_spoils_it_most(flaw, size, angle, blur, contrast, pres
     judged = judge_crop(points_at((300, 200), size), facing(angle), crop, presence)
     assert judged.flaw == flaw
     assert judged.quality == crop_quality(points_at((300, 200), size), facing(angle), crop, presence)
+
+
+def test_what_is_burnt_white_makes_no_template_and_a_few_highlights_are_no_harm():
+    """The white parts have sharp edges and much contrast."""
+    points, crop = points_at((300, 200), 150), texture()
+    good = judge_crop(points, facing(0), crop)
+    highlights, washed_out, white = (judge_crop(points, facing(0), overexposed(crop, gain)) for gain in (1.4, 1.9, 2.5))
+    assert 0.1 < burnt_part(overexposed(crop, 1.4)) < 0.2 and burnt_part(overexposed(crop, 2.5)) > 0.85
+    assert good.template_quality == good.quality and good.exposure == 1.0
+    assert highlights.template_quality >= good.quality - 0.05 and highlights.flaw != "overexposed"
+    assert 0.35 <= washed_out.template_quality < 0.5, "who is known may be seen by it, nobody new"
+    assert white.template_quality < 0.1 and white.flaw == washed_out.flaw == "overexposed"
+    assert white.quality >= good.quality - 0.05, "age and gender are still seen"
+    assert judge_crop(points, facing(0), crop[:3, :3]).exposure == 1.0, "a crop that has no middle"
 
 
 def test_turned_away():

@@ -180,3 +180,6 @@ def test_crops_that_are_poor_say_what_spoils_them():
     quality = qualities.update(image, [face], 1.0)["f1"]
     assert qualities.flaws(quality + 0.01) == {"f1": "small (14 px between the eyes)"}
     assert qualities.flaws(quality) == {}
+    assert qualities.of_templates({"f1": quality, "f2": 0.0}) == {"f1": quality, "f2": 0.0}
+    assert qualities.update(np.full_like(image, 255), [face], 9.0) == {"f1": 0.0}
+    assert qualities.of_templates({"f1": 0.9}) == {"f1": 0.0}, "burnt white"

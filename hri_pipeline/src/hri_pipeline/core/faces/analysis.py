@@ -245,8 +245,8 @@ class FaceAnalysis:
             overdue["age_gender"] = self._age_gender.overdue(measured, qualities, stamp, demand.soft_biometrics)
         if self.recognition is not None and demand.recognition:
             # Recognition has priority: all other results belong to a person who must be known first.
-            is_due = self.recognition.due(qualities, stamp, limit=_AT_ONCE if self._time_budget.ample else 1,
-                                          faces=measured)
+            is_due = self.recognition.due(self._qualities.of_templates(qualities), stamp,
+                                          limit=_AT_ONCE if self._time_budget.ample else 1, faces=measured)
             overdue["recognition"] = 2.0 * _PATIENCE if is_due else 0.0
         name = next_turn(overdue, self._last)
         paid = self._time_budget.next_image(stamp - self._stamp)

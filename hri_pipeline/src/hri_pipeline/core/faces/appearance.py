@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.faces.crops import features, smeared
+from hri_pipeline.core.faces.crops import burnt_part, features, smeared
 from hri_pipeline.core.recognition.embedding import face_chip
 
 CHIP = 24
@@ -109,7 +109,7 @@ class FaceLook:
         if self.crop is None and self._bgr is not None and self.eyes >= LEAST_EYES:
             crop = face_chip(self._bgr, self._mesh, size, alignment=alignment, camera=self._camera,
                              origin=self._origin or (0, 0))
-            self.crop = None if _is_burnt(crop) else crop
+            self.crop = crop if burnt_part(crop, _WHITE) <= _BURNT_PART else None
             if self._origin is not None:        # nothing else is made of a part
                 self._bgr = None
 
@@ -146,12 +146,6 @@ class FaceLook:
         """Let go of the image."""
         if self._origin is None:
             self._bgr = None
-
-
-def _is_burnt(crop: np.ndarray) -> bool:
-    """Whether much of the middle of a crop (S, S, 3) is white: it was exposed for too long."""
-    border = len(crop) // 5
-    return bool((crop[border:-border, border:-border].min(axis=2) >= _WHITE).mean() > _BURNT_PART)
 
 
 def asymmetry(mesh: np.ndarray) -> float:

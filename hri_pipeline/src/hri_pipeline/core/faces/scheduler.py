@@ -205,8 +205,13 @@ class CropQualities:
         self._stamps: Dict[str, float] = {}
 
     def flaws(self, quality: float) -> Dict[str, str]:
-        """Return what spoils the crops most of the faces that are below a quality (0 to 1), by their ids."""
-        return {face_id: judged.flaw for face_id, judged in self._values.items() if judged.quality < quality}
+        """Return what spoils the crops most of the faces whose templates are below a quality (0 to 1), by their ids."""
+        return {face_id: judged.flaw for face_id, judged in self._values.items() if judged.template_quality < quality}
+
+    def of_templates(self, qualities: Mapping[str, float]) -> Mapping[str, float]:
+        """Return, of the qualities (0 to 1) of crops, those of their templates."""
+        return {face_id: quality * self._values[face_id].exposure if face_id in self._values else quality
+                for face_id, quality in qualities.items()}
 
     def update(self, bgr: np.ndarray, faces: Sequence[FaceObservation], stamp: float) -> Mapping[str, float]:
         """Return the qualities (0 to 1) of the faces among `faces` that have one, the stale ones measured anew."""

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.faces.crops import crop_quality
+from hri_pipeline.core.faces.crops import judge_crop
 from hri_pipeline.core.faces.parameters import FACES
 from hri_pipeline.core.faces.pipeline import FacePipeline
 from hri_pipeline.core.ids import IdGenerator
@@ -117,8 +117,8 @@ def _crop(pipeline: FacePipeline, picture: np.ndarray, begin: float) -> Tuple[Op
     face, recognition = faces[0], pipeline.recognition
     assert recognition is not None
     crop = recognition.embedder.crop(picture, face.mesh)
-    if crop_quality(face.mesh, face.pose, crop) < LEAST_QUALITY:
-        return None, "the face is too small, blurred, dark or turned away"
+    if judge_crop(face.mesh, face.pose, crop).template_quality < LEAST_QUALITY:
+        return None, "the face is too small, blurred, dark, overexposed or turned away"
     return crop, ""
 
 
