@@ -147,7 +147,7 @@ def _partition(votes: Votes, rows: Sequence[int], per_person: float) -> Tuple[Li
     """
     if len(rows) < 2:
         return [], 0.0
-    prior, table = _Prior.of(votes, per_person), _summable(votes, per_person)[:, list(rows)]
+    prior, table = _Prior(per_person, votes.stride, votes.size), _summable(votes, per_person)[:, list(rows)]
     groups = [[rows[row] for row in group] for group in groups_of(_moved(table, _joined(table, prior), prior))]
     return groups, float(_costs_of(votes, groups, per_person).sum())
 
@@ -161,7 +161,7 @@ def _summable(votes: Votes, per_person: float) -> np.ndarray:
 def _costs_of(votes: Votes, groups: Sequence[Sequence[int]], per_person: float) -> np.ndarray:
     """Return the cost (G,) of groups, rows of the votes."""
     totals = _summable(votes, per_person) @ membership(groups, votes.table.shape[1])
-    return _cost(totals, _Prior.of(votes, per_person))
+    return _cost(totals, _Prior(per_person, votes.stride, votes.size))
 
 
 def _is_open(places: np.ndarray) -> bool:
@@ -257,18 +257,12 @@ class _Prior(NamedTuple):
     """What is known of a group beforehand.
 
     per_person: log of 2 pi by `group_room`; stride: distance (m) ahead at which the middle is expected; size:
-    information about the size, 1 / m^2; ahead: log of the probability that the middle is ahead.
+    information about the size, 1 / m^2.
     """
 
     per_person: float
     stride: float
     size: float
-    ahead: float
-
-    @classmethod
-    def of(cls, votes: Votes, per_person: float) -> _Prior:
-        """Return what is known of the groups of these votes."""
-        return cls(per_person, votes.stride, votes.size, float(log_ndtr(votes.stride * math.sqrt(votes.size))))
 
 
 def _cost(sums: np.ndarray, prior: _Prior) -> np.ndarray:
@@ -278,25 +272,25 @@ def _cost(sums: np.ndarray, prior: _Prior) -> np.ndarray:
     The middle lies ahead, not behind: the size is a normal variable above -`stride` only. The last row: squares, log
     |covariance| and twice `per_person` for each of the people.
     """
-    xx, xy, yy, x, y, along_x, along_y, sized = _without_size(sums, prior.size)
+    xx, xy, yy, x, y, sized = _without_size(sums, prior.size)
     determinant = xx * yy - xy * xy
     centre_x, centre_y = (yy * x - xy * y) / determinant, (xx * y - xy * x) / determinant
     explained = x * centre_x + y * centre_y + sums[8] * sums[8] / sized
     # The posterior of the size, of which the vote is the negative, and its variance by the partitioned inverse.
+    along_x, along_y = sums[5] / sized, sums[6] / sized
     smaller = sums[8] / sized - along_x * centre_x - along_y * centre_y
     variance = 1.0 / sized + (yy * along_x ** 2 - 2.0 * xy * along_x * along_y + xx * along_y ** 2) / determinant
-    ahead = log_ndtr((prior.stride - smaller) / np.sqrt(variance)) - prior.ahead
+    ahead = log_ndtr((prior.stride - smaller) / np.sqrt(variance)) - log_ndtr(prior.stride * math.sqrt(prior.size))
     return 0.5 * (sums[9] - explained + np.log(determinant * sized / prior.size)) - prior.per_person - ahead
 
 
 def _without_size(sums: np.ndarray, size: float) -> Tuple[np.ndarray, ...]:
-    """Return the information about the middles (xx, xy, yy, x, y) whatever the sizes, the way of the middle with the
-    size (x, y), and the information about the sizes."""
+    """Return the information about the middles (xx, xy, yy, x, y) whatever the sizes, and that about the sizes."""
     xx, xy, yy, x, y, along_x, along_y, sized, moved = sums[:9]
     sized = sized + size
     share_x, share_y = along_x / sized, along_y / sized
     return (xx - along_x * share_x, xy - along_x * share_y, yy - along_y * share_y,
-            x - share_x * moved, y - share_y * moved, share_x, share_y, sized)
+            x - share_x * moved, y - share_y * moved, sized)
 
 
 def membership(groups: Sequence[Sequence[int]], count: int) -> np.ndarray:
@@ -309,7 +303,7 @@ def membership(groups: Sequence[Sequence[int]], count: int) -> np.ndarray:
 
 def _centres(totals: np.ndarray, size: float) -> np.ndarray:
     """Return the middles (G, 2) m of groups (9 and more, G)."""
-    xx, xy, yy, x, y, *_ = _without_size(totals, size)
+    xx, xy, yy, x, y, _ = _without_size(totals, size)
     return (np.stack([yy * x - xy * y, xx * y - xy * x]) / (xx * yy - xy * xy)).T
 
 
