@@ -232,6 +232,28 @@ def test_what_is_sent_is_what_the_message_holds(convert, points):
     assert changed.getvalue() == generated(message) != buffer.getvalue()
 
 
+def test_pixels_are_sent_as_they_are():
+    """The bytes are those that the generated class writes, of data that somebody has changed, too."""
+    class Written(io.BytesIO):
+        def write(self, part):
+            parts.append(part)
+            return super().write(part)
+
+    def generated():
+        buffer = io.BytesIO()
+        Image(**{name: getattr(message, name) for name in Image.__slots__}).serialize(buffer)
+        return buffer.getvalue()
+
+    message, parts, buffer = conversions.bgr_to_image(BGR, HEADER), [], Written()
+    message.serialize(buffer)
+    assert buffer.getvalue() == generated()
+    assert any(part is message.data for part in parts), "the pixels were copied before"
+    message.data = list(message.data)
+    changed = io.BytesIO()
+    message.serialize(changed)
+    assert changed.getvalue() == generated()
+
+
 def test_points_are_sent_without_one_object_each():
     """Ten faces have thousands of points a second; it is a fifth (measured)."""
     landmarks = np.random.default_rng(1).uniform(size=(70, 3))

@@ -50,6 +50,15 @@ def test_stage_times():
     assert times.summary() == {}
 
 
+@pytest.mark.parametrize("count", [1, 2, 3, 20, 99, 100])
+def test_times_of_a_stage_have_the_percentiles_of_numpy(count):
+    seconds = np.random.default_rng(count).uniform(size=count)
+    times = StageTimes()
+    for value in seconds.tolist():
+        times.add("mesh", value)
+    assert times.summary()["mesh"] == pytest.approx(np.percentile(1e3 * seconds, (50, 95)).tolist())
+
+
 def test_a_clock_that_goes_back_is_told_with_the_remedy():
     text = clock_went_back(12.34, simulated=True)
     assert text.startswith("/clock went back by 12.3 s") and "one program only publish /clock" in text

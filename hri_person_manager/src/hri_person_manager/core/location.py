@@ -481,7 +481,7 @@ class PersonLocation:
         """Return how far the place is to be trusted at `now` (s): 1 while it is fresh, then less, 0 without one."""
         if self.place is None:
             return 0.0
-        until = max((report.until for report in self._reports.values()), default=float("-inf"))
+        until = max([report.until for report in self._reports.values()], default=-math.inf)
         return 1.0 if now <= until else decay.confidence(now - max(until, self._fresh_until))
 
     def expected(self, now: float) -> Optional[Place]:

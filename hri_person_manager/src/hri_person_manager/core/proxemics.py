@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from enum import Enum
-from typing import Dict, Iterable, List, Mapping, Optional
+from typing import Dict, List, Mapping, Optional
 
 import numpy as np
 
@@ -19,6 +19,9 @@ class Space(Enum):
     PERSONAL = "in_personal_space"
     SOCIAL = "in_social_space"
     PUBLIC = "in_public_space"
+
+
+_SPACES = tuple(Space)      # the nearest first
 
 
 def horizontal_distance(place: Place, origin: np.ndarray) -> float:
@@ -49,23 +52,16 @@ class Proxemics:
         """Return who is in which space; `distances` (m) of all persons whose place is known."""
         self._space = {person_id: self._sort(self._space.get(person_id), distance)
                        for person_id, distance in distances.items()}
-        return {space: self._members(space) for space in Space}
+        return {space: self._members(space) for space in _SPACES}
 
     def _members(self, space: Space) -> List[str]:
-        return sorted(person_id for person_id, found in self._space.items() if found == space)
+        return sorted(person_id for person_id, found in self._space.items() if found is space)
 
     def _sort(self, before: Optional[Space], distance: float) -> Space:
-        spaces = list(Space)
-        margins = self._margins(spaces, before)
-        for space, border, margin in zip(spaces, self._borders, margins):
+        place = None if before is None else _SPACES.index(before)
+        for number, border in enumerate(self._borders):
+            # Each border is shifted away from a person who was on one side of it.
+            margin = 0.0 if place is None else HYSTERESIS_M if place <= number else -HYSTERESIS_M
             if distance < border + margin:
-                return space
+                return _SPACES[number]
         return Space.PUBLIC
-
-    def _margins(self, spaces: Iterable[Space], before: Optional[Space]) -> List[float]:
-        """Shift of each border (m): away from a person who was on one side of it."""
-        if before is None:
-            return [0.0, 0.0]
-        order = list(spaces)
-        place = order.index(before)
-        return [HYSTERESIS_M if place <= index else -HYSTERESIS_M for index in range(2)]

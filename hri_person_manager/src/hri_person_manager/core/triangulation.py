@@ -92,7 +92,7 @@ def ray_covariance(position: np.ndarray, origin: np.ndarray, along: float = ALON
     side = ACROSS * ACROSS * (x * x + y * y + z * z) + exactness * exactness
     stretch = along * along - ACROSS * ACROSS
     i, j, k = stretch * x, stretch * y, stretch * z
-    return np.array(((i * x + side, i * y, i * z), (j * x, j * y + side, j * z), (k * x, k * y, k * z + side)))
+    return np.array((i * x + side, i * y, i * z, j * x, j * y + side, j * z, k * x, k * y, k * z + side)).reshape(3, 3)
 
 
 def shares(informations: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:

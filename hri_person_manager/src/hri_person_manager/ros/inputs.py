@@ -181,7 +181,7 @@ class ReferenceFrame:
         self._missing: Dict[str, Tuple[float, float]] = {}      # sensor: since when, and when it was missed last
         self._warned: Set[str] = set()
         self._camera_votes, self._is_camera, self._camera_told, self._camera = 0, False, False, ""
-        self._last: Tuple[str, genpy.Time, Optional[Pose]] = ("", genpy.Time(), None)
+        self._last: Tuple[str, genpy.Time, float, Optional[Pose]] = ("", genpy.Time(), 0.0, None)
 
     @property
     def unconnected(self) -> Set[str]:
@@ -196,23 +196,24 @@ class ReferenceFrame:
 
     def place(self, pose: FeaturePose) -> Place:
         """Return the place of a feature in the reference frame, else in the frame of its sensor."""
-        last, stamp, sensor = self._last
+        last, stamp, seconds, sensor = self._last
         if last != pose.sensor or (stamp.secs, stamp.nsecs) != (pose.secs, pose.nsecs):
             # All features of one image have its stamp: one look-up for all of them.
             stamp = genpy.Time(pose.secs, pose.nsecs)
+            seconds = stamp.to_sec()
             sensor = self._tf_input.lookup(pose.sensor, stamp)
-            self._last = pose.sensor, stamp, sensor
+            self._last = pose.sensor, stamp, seconds, sensor
             if sensor is None:
                 self._miss(pose.sensor)
             else:
                 self._missing.pop(pose.sensor, None)
         if sensor is None:
             # Faces and bodies come in the optical frame of their camera, whatever it is called.
-            return Place(pose.sensor, pose.pose, stamp.to_sec(), stamp, of_camera=pose.source != PlaceSource.VOICE)
+            return Place(pose.sensor, pose.pose, seconds, stamp, of_camera=pose.source != PlaceSource.VOICE)
         found = sensor.compose(pose.pose)
         if pose.source != PlaceSource.VOICE:
             self._see_axes(pose.sensor, sensor, found)
-        return Place(self._frame, found, stamp.to_sec(), stamp, sensor.translation, camera=sensor,
+        return Place(self._frame, found, seconds, stamp, sensor.translation, camera=sensor,
                      of_camera=self._is_camera)
 
     @property
@@ -226,12 +227,11 @@ class ReferenceFrame:
     def _see_axes(self, name: str, sensor: Pose, human: Pose) -> None:
         """Notice a reference frame that has the axes of a camera although its name does not say so: heads point along
         -y, and z points to where the camera looks."""
-        up = human.rotation[:, 2]
         if is_optical(self._frame):
             return
-        if up[2] > ALONG:
+        if human.rotation[2, 2] > ALONG:
             self._camera_votes = max(-MOST_VOTES, self._camera_votes - 1)
-        elif -up[1] > ALONG and min(sensor.rotation[1, 1], sensor.rotation[2, 2]) > AS_SENSOR:
+        elif -human.rotation[1, 2] > ALONG and min(sensor.rotation[1, 1], sensor.rotation[2, 2]) > AS_SENSOR:
             self._camera_votes, self._camera = min(MOST_VOTES, self._camera_votes + 1), name
         self._is_camera = self._camera_votes >= (1 if self._is_camera else LEAST_VOTES)
         if self._is_camera and not self._camera_told:

@@ -9,7 +9,7 @@ import threading
 import time
 import traceback
 from collections import OrderedDict
-from typing import Dict, List, Mapping, Tuple
+from typing import Dict, List, Mapping, Optional, Tuple
 
 import genpy
 import rospy
@@ -18,7 +18,7 @@ from std_srvs.srv import Empty, EmptyRequest, EmptyResponse
 
 from hri_msgs.msg import IdsMatch, SoftBiometrics
 from hri_person_manager.core.display import graph_text
-from hri_person_manager.core.features import MAX_FEATURES, FeaturePose, Kind, MatchNode
+from hri_person_manager.core.features import MAX_FEATURES, FeaturePose, Kind, MatchNode, PlaceSource
 from hri_person_manager.core.location import LATE_TIME
 from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import MatchGuard
@@ -369,13 +369,19 @@ class PersonManagerNode:
                 return
             now = rospy.get_time()
             moved: Dict[str, object] = {}
+            image: Optional[Tuple[PlaceSource, str, int, int]] = None
+            is_stale = False
             for pose in poses:
-                if self._stale_stamps.is_stale(pose.secs + 1e-9 * pose.nsecs, now, time.monotonic()):
+                seen = (pose.source, pose.sensor, pose.secs, pose.nsecs)
+                if seen != image:       # all features of an image have its stamp: it is looked at once
+                    image = seen
+                    is_stale = self._stale_stamps.is_stale(pose.secs + 1e-9 * pose.nsecs, now, time.monotonic())
+                    if not is_stale:
+                        self._note_image(pose)
+                if is_stale:
                     continue
-                self._watch_stamps(pose)
                 place = self._reference.place(pose)
                 stamp = place.exact_stamp
-                self._note_stamp(stamp)
                 person_id = self._manager.on_place(pose.source, pose.id, place, now, pose.sensor)
                 if person_id is not None:
                     place = self._manager.place(person_id)
@@ -477,10 +483,12 @@ class PersonManagerNode:
                        for person_id, place in self._manager.newly_placed(now)])
         self._topics.update(self._manager.snapshot(now), self._sensed)
 
-    def _watch_stamps(self, pose: FeaturePose) -> None:
-        """Send older frames again where the stamps of a sensor have jumped back without the clock."""
+    def _note_image(self, pose: FeaturePose) -> None:
+        """Note the stamp of a pose; older frames are sent again where those of a sensor have jumped back without the
+        clock."""
         if self._stamps.note((pose.source, pose.sensor), (pose.secs, pose.nsecs), time.monotonic()) == Order.BACK:
             self._tf.reset()
+        self._note_stamp(genpy.Time(pose.secs, pose.nsecs))
 
     def _note_stamp(self, stamp: genpy.Time) -> None:
         """Note when something was sensed; stamps of the future would stay for good."""

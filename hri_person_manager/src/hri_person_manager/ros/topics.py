@@ -7,7 +7,6 @@ import math
 import queue
 import threading
 import time
-from dataclasses import replace
 from typing import Callable, Dict, List, Optional, Sequence, Set, Tuple
 
 import genpy
@@ -309,8 +308,8 @@ class PersonSpaces:
         shift, origin = self._pose(level, place.frame), self._pose(level, self._robot_frame or sensor)
         if shift is None or origin is None:
             return None
-        moved = replace(place, frame=level, pose=shift.compose(place.pose), of_camera=place.of_camera and
-                        level == place.frame)
+        moved = Place(level, shift.compose(place.pose), place.stamp,
+                      of_camera=place.of_camera and level == place.frame)
         return horizontal_distance(moved, origin.translation)
 
     def _level(self, place: Place) -> str:

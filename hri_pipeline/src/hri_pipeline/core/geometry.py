@@ -46,15 +46,14 @@ class Pose:
 
     def compose(self, other: "Pose") -> "Pose":
         """Return self * other: first `other`, then `self`."""
-        # Hundreds a second: what comes of two poses is one, and need not be looked at again.
-        pose = object.__new__(Pose)
-        pose.__dict__.update(rotation=self.rotation @ other.rotation,
-                             translation=self.rotation @ other.translation + self.translation)
-        return pose
+        # For matrices of this size, @ takes more than twice as long as dot().
+        return _trusted_pose(self.rotation.dot(other.rotation),
+                             self.rotation.dot(other.translation) + self.translation)
 
     def inverse(self) -> "Pose":
         """Return the transform that maps parent coordinates to the child frame."""
-        return Pose(self.rotation.T, -self.rotation.T @ self.translation)
+        turned_back = self.rotation.T
+        return _trusted_pose(turned_back, (-turned_back).dot(self.translation))
 
     def apply(self, points: np.ndarray) -> np.ndarray:
         """Map points (N, 3) in the child frame to (N, 3) in the parent frame, m."""
@@ -95,15 +94,24 @@ class Pose:
             raise ValueError("a quaternion needs 4 finite numbers, not all zero: {}".format(list(values)))
         s = 2.0 / square
         rotation = np.array((
-            (1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)),
-            (s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w)),
-            (s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y))))
-        return cls(rotation, np.asarray(translation, dtype=np.float64))
+            1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w),
+            s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w),
+            s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y))).reshape(3, 3)
+        position = np.asarray(translation, dtype=np.float64)
+        return _trusted_pose(rotation, position) if position.shape == (3,) else cls(rotation, position)
 
     @classmethod
     def identity(cls) -> "Pose":
         """Return the transform that changes nothing."""
         return cls(np.eye(3), np.zeros(3))
+
+
+def _trusted_pose(rotation: np.ndarray, translation: np.ndarray) -> Pose:
+    """Return a pose of arrays that are known to be right: hundreds a second need not be looked at again."""
+    pose = object.__new__(Pose)
+    values = pose.__dict__
+    values["rotation"], values["translation"] = rotation, translation
+    return pose
 
 
 def _quaternion(matrix: List[List[float]]) -> Tuple[float, float, float, float]:

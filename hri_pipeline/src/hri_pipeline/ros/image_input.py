@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from array import array
 from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -517,7 +518,7 @@ class CameraInfoInput:
 
 
 def _key(info: CameraInfo) -> tuple:
-    """Everything in the message that the model depends on. NaN is unlike itself, hence the text."""
+    """Everything in the message that the model depends on. NaN is unlike itself, hence the bytes."""
     roi = info.roi
-    return (info.header.frame_id, info.width, info.height, str(info.K), str(info.P), str(info.D),
+    return (info.header.frame_id, info.width, info.height, array("d", (*info.K, *info.P, *info.D)).tobytes(),
             info.distortion_model, info.binning_x, info.binning_y, roi.x_offset, roi.y_offset, roi.width, roi.height)
