@@ -13,6 +13,8 @@ from hri_pipeline.ros import publishers as module
 from hri_pipeline.ros import rospy_compat
 from hri_pipeline.ros.publishers import IdPublishers, TopicSpec
 
+WAIT_S = 10.0
+
 
 @pytest.fixture()
 def publishers(monkeypatch):
@@ -129,8 +131,7 @@ def test_a_master_that_has_gone_while_topics_open_is_not_waited_for(master, topi
 
 
 @pytest.mark.parametrize("answer", [[1, "no list"], "nothing", ValueError("the master has a bug")])
-def test_answers_that_are_none_open_topics_all_the_same(master, topics, publishers, monkeypatch,
-                                                               answer):
+def test_answers_that_are_none_open_topics_all_the_same(master, topics, publishers, monkeypatch, answer):
     def answered(node, topic, kind, uri):
         if topic.startswith("second") and isinstance(answer, Exception):
             raise answer
@@ -183,6 +184,19 @@ def test_topics_of_a_node_that_ends_are_taken_back(master, topics, monkeypatch):
             closed(manager, topics.subs, name)
         monkeypatch.setattr(rospy_compat.rospy, "is_shutdown", lambda: True)
     assert master.topics == []
+
+
+def test_a_service_that_opens_does_not_wait_for_who_opens_a_topic(master, topics):
+    """rospy tells of a service under the lock of its listeners, for which who opens a topic waits with that of topics:
+    each would wait for the other for ever."""
+    told = []
+    master.register_function(lambda node, name, address, uri: told.append(name) or [1, "", 1], "registerService")
+    opening = threading.Thread(target=rospy_compat._reg_added, daemon=True, args=(
+        manager_of(master), "/node/service", "rosrpc://127.0.0.1:1", Registration.SRV))
+    with topics.lock:
+        opening.start()
+        opening.join(WAIT_S)
+        assert told == ["/node/service"]
 
 
 def manager_of(master):
