@@ -186,6 +186,20 @@ def test_topics_of_a_node_that_ends_are_taken_back(master, topics, monkeypatch):
     assert master.topics == []
 
 
+def test_who_comes_does_not_wait_for_a_master_that_did_not_take_back_who_left(master, topics, monkeypatch):
+    """It is waited for twice else, and what it does later may end topics that are open again: all are told anew."""
+    def silent(node, topic, uri):
+        raise TimeoutError
+
+    master.register_function(silent, "unregisterPublisher")
+    monkeypatch.setattr(rospy_compat, "not_registered", threading.Event())
+    topics.pubs["left"] = object()
+    with rospy_compat.registered_together():
+        closed(manager_of(master), topics.pubs, "left", Registration.PUB)
+    opened(manager_of(master), topics.pubs, "new", Registration.PUB)
+    assert rospy_compat.not_registered.is_set() and master.requests == 1
+
+
 def test_a_service_that_opens_does_not_wait_for_who_opens_a_topic(master, topics):
     """rospy tells of a service under the lock of its listeners, for which who opens a topic waits with that of topics:
     each would wait for the other for ever."""

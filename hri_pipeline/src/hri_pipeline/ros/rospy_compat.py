@@ -290,7 +290,7 @@ class _ProxyWithTimeout(rospy.core._LockedServerProxy):
 
 
 not_registered = threading.Event()
-"""Set while the master may not know all topics and services of this process, as it has not answered."""
+"""Set while the master may not know which topics and services this process has, as it has not answered."""
 
 
 def register_without_waiting() -> None:
@@ -391,8 +391,8 @@ def _call_master(manager: RegManager, changes: Sequence[_Change]) -> None:
         with ServerProxy(manager.master_uri, transport=TransportWithTimeout(_REGISTER_S)) as master:
             answers = [(code, text, found) for code, text, found in _answers(master, manager.uri, told)]
     except Exception as error:      # refused, timed out, half an answer
-        if any(change.kind is not None for change in told):
-            not_registered.set()
+        # Also where topics were only closed: it may do that later, when they are open again.
+        not_registered.set()
         manager.logger.error("%s is not told to the master, with %d more: %s", told[0].name, len(told) - 1, error)
         return
     for change, (code, text, found) in zip(told, answers):
