@@ -1,8 +1,10 @@
 """Publishers of ids, of which some cannot be opened; without a master."""
 
+import contextlib
 import logging
 import threading
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
 import pytest
@@ -10,7 +12,7 @@ from rospy.impl.registration import Registration
 from std_msgs.msg import String
 
 from hri_pipeline.ros import publishers as module
-from hri_pipeline.ros import rospy_compat
+from hri_pipeline.ros import rospy_compat, subscriptions
 from hri_pipeline.ros.publishers import IdPublishers, TopicSpec
 
 WAIT_S = 10.0
@@ -158,6 +160,34 @@ def test_topics_that_come_and_go_together_are_told_to_the_master_in_one_call(mas
         assert master.topics == ["old"]
     assert master.topics == ["second"] and master.requests == 2
     assert heard == [("old", ["http://a/"]), ("second", ["http://a/"])]
+
+
+def test_topics_of_all_who_leave_are_taken_back_in_one_call(master, topics, monkeypatch):
+    releaser, names = rospy_compat.Releaser(), ["first/roi", "first/name", "second/roi"]
+    for name in names:
+        opened(manager_of(master), topics.pubs, name, Registration.PUB)
+    monkeypatch.setattr(rospy_compat, "release",
+                        lambda name: closed(manager_of(master), topics.pubs, name, Registration.PUB))
+    releaser.put(names)
+    releaser.wait()
+    assert master.topics == [] and master.requests == len(names) + 1
+
+
+def test_who_comes_and_who_leaves_is_followed_and_left_in_one_call(master, topics, monkeypatch):
+    manager = manager_of(master)
+    manager.publisher_update = lambda topic, found: None
+    monkeypatch.setattr(subscriptions, "rospy", MagicMock(
+        Subscriber=lambda name, *given, **more: opened(manager, topics.subs, name) or name))
+    monkeypatch.setattr(subscriptions, "release", lambda name: closed(manager, topics.subs, name))
+    faces = subscriptions.IdSubscribers("faces", {"roi": String, "name": String}, on_message=print)
+    with contextlib.closing(faces):
+        for ids in (["first", "second"], ["second", "third"]):
+            before = master.requests
+            faces._follow(ids)
+            assert master.requests == before + 1 and faces.ids == ids
+            assert sorted(master.topics) == ["/humans/faces/{}/{}".format(face, name) for face in ids
+                                             for name in ("name", "roi")] + ["/humans/faces/tracked"]
+    assert master.topics == []
 
 
 def test_what_another_thread_opens_or_closes_meanwhile_is_told_as_it_is_then(master, topics):
