@@ -2,6 +2,7 @@
 
 import threading
 import time
+from functools import partial
 from unittest.mock import MagicMock
 
 import genpy
@@ -225,6 +226,22 @@ def test_a_place_from_before_the_clock_went_back_places_nobody(monkeypatch):
     old, new = (FeaturePose(PlaceSource.FACE, "abcde", "camera", Pose.identity(), secs, 0) for secs in (119, 100))
     PersonManagerNode._on_poses(node, [old, new])
     assert [call.args for call in node._reference.place.call_args_list] == [(new,)]
+
+
+def test_each_image_is_noted_once_and_people_have_the_newest_stamp_that_can_be(monkeypatch):
+    monkeypatch.setattr(module.rospy, "get_time", lambda: 100.2)
+    node = MagicMock(_stale_stamps=StaleStampFilter(), _people=None, _sensed=genpy.Time())
+    node._stop.is_set.return_value = False
+    node._manager.on_place.return_value = None
+    node._note_image = partial(PersonManagerNode._note_image, node)
+    node._note_stamp = partial(PersonManagerNode._note_stamp, node)
+    images = [(PlaceSource.FACE, "left", 99), (PlaceSource.FACE, "left", 100), (PlaceSource.BODY, "left", 98),
+              (PlaceSource.FACE, "right", 100), (PlaceSource.FACE, "right", 900)]
+    PersonManagerNode._on_poses(node, [FeaturePose(source, name, sensor, Pose.identity(), secs, 0)
+                                       for source, sensor, secs in images for name in ("first", "second")])
+    assert [call.args[:2] for call in node._stamps.note.call_args_list] == [
+        ((source, sensor), (secs, 0)) for source, sensor, secs in images]
+    assert node._sensed == genpy.Time(100) and node._reference.place.call_count == 2 * len(images)
 
 
 def test_a_clock_that_has_jumped_is_told_once_and_looked_at_again_soon(monkeypatch):

@@ -1,11 +1,14 @@
 """Messages to arrays and back."""
 
+import copy
 import io
+import pickle
 
 import cv2
 import genpy
 import numpy as np
 import pytest
+import rosbag
 from geometry_msgs.msg import TransformStamped
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header, String
@@ -252,6 +255,23 @@ def test_pixels_are_sent_as_they_are():
     changed = io.BytesIO()
     message.serialize(changed)
     assert changed.getvalue() == generated()
+
+
+def test_an_image_to_send_is_one_to_all_who_take_images(tmp_path):
+    """Bags, copies, other processes, and programs that compare what has come with what was sent."""
+    message = conversions.bgr_to_image(BGR[::2, ::-1], HEADER)
+    generated = Image(**{name: getattr(message, name) for name in Image.__slots__})
+    assert message == generated and generated == message == over_the_wire(message) and not generated != message
+    for taken in (copy.deepcopy(message), pickle.loads(pickle.dumps(message))):
+        assert taken == message and taken == generated
+        taken.height += 1
+        assert taken != message and taken != generated and generated != taken
+    assert message not in (CompressedImage(), "image")
+    with rosbag.Bag(str(tmp_path / "images.bag"), "w") as bag:
+        bag.write("image", message, genpy.Time(1))
+    with rosbag.Bag(str(tmp_path / "images.bag")) as bag:
+        (_, read, _), = bag.read_messages()
+    np.testing.assert_array_equal(conversions.image_to_bgr(read), BGR[::2, ::-1])
 
 
 def test_points_are_sent_without_one_object_each():

@@ -1,8 +1,10 @@
 """Publishers of ids, of which some cannot be opened; without a master."""
 
+import contextlib
 import logging
 import threading
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
 import pytest
@@ -10,8 +12,10 @@ from rospy.impl.registration import Registration
 from std_msgs.msg import String
 
 from hri_pipeline.ros import publishers as module
-from hri_pipeline.ros import rospy_compat
+from hri_pipeline.ros import rospy_compat, subscriptions
 from hri_pipeline.ros.publishers import IdPublishers, TopicSpec
+
+WAIT_S = 10.0
 
 
 @pytest.fixture()
@@ -129,8 +133,7 @@ def test_a_master_that_has_gone_while_topics_open_is_not_waited_for(master, topi
 
 
 @pytest.mark.parametrize("answer", [[1, "no list"], "nothing", ValueError("the master has a bug")])
-def test_answers_that_are_none_open_topics_all_the_same(master, topics, publishers, monkeypatch,
-                                                               answer):
+def test_answers_that_are_none_open_topics_all_the_same(master, topics, publishers, monkeypatch, answer):
     def answered(node, topic, kind, uri):
         if topic.startswith("second") and isinstance(answer, Exception):
             raise answer
@@ -159,6 +162,34 @@ def test_topics_that_come_and_go_together_are_told_to_the_master_in_one_call(mas
     assert heard == [("old", ["http://a/"]), ("second", ["http://a/"])]
 
 
+def test_topics_of_all_who_leave_are_taken_back_in_one_call(master, topics, monkeypatch):
+    releaser, names = rospy_compat.Releaser(), ["first/roi", "first/name", "second/roi"]
+    for name in names:
+        opened(manager_of(master), topics.pubs, name, Registration.PUB)
+    monkeypatch.setattr(rospy_compat, "release",
+                        lambda name: closed(manager_of(master), topics.pubs, name, Registration.PUB))
+    releaser.put(names)
+    releaser.wait()
+    assert master.topics == [] and master.requests == len(names) + 1
+
+
+def test_who_comes_and_who_leaves_is_followed_and_left_in_one_call(master, topics, monkeypatch):
+    manager = manager_of(master)
+    manager.publisher_update = lambda topic, found: None
+    monkeypatch.setattr(subscriptions, "rospy", MagicMock(
+        Subscriber=lambda name, *given, **more: opened(manager, topics.subs, name) or name))
+    monkeypatch.setattr(subscriptions, "release", lambda name: closed(manager, topics.subs, name))
+    faces = subscriptions.IdSubscribers("faces", {"roi": String, "name": String}, on_message=print)
+    with contextlib.closing(faces):
+        for ids in (["first", "second"], ["second", "third"]):
+            before = master.requests
+            faces._follow(ids)
+            assert master.requests == before + 1 and faces.ids == ids
+            assert sorted(master.topics) == ["/humans/faces/{}/{}".format(face, name) for face in ids
+                                             for name in ("name", "roi")] + ["/humans/faces/tracked"]
+    assert master.topics == []
+
+
 def test_what_another_thread_opens_or_closes_meanwhile_is_told_as_it_is_then(master, topics):
     manager = manager_of(master)
     manager.publisher_update = lambda topic, found: None
@@ -183,6 +214,33 @@ def test_topics_of_a_node_that_ends_are_taken_back(master, topics, monkeypatch):
             closed(manager, topics.subs, name)
         monkeypatch.setattr(rospy_compat.rospy, "is_shutdown", lambda: True)
     assert master.topics == []
+
+
+def test_who_comes_does_not_wait_for_a_master_that_did_not_take_back_who_left(master, topics, monkeypatch):
+    """It is waited for twice else, and what it does later may end topics that are open again: all are told anew."""
+    def silent(node, topic, uri):
+        raise TimeoutError
+
+    master.register_function(silent, "unregisterPublisher")
+    monkeypatch.setattr(rospy_compat, "not_registered", threading.Event())
+    topics.pubs["left"] = object()
+    with rospy_compat.registered_together():
+        closed(manager_of(master), topics.pubs, "left", Registration.PUB)
+    opened(manager_of(master), topics.pubs, "new", Registration.PUB)
+    assert rospy_compat.not_registered.is_set() and master.requests == 1
+
+
+def test_a_service_that_opens_does_not_wait_for_who_opens_a_topic(master, topics):
+    """rospy tells of a service under the lock of its listeners, for which who opens a topic waits with that of topics:
+    each would wait for the other for ever."""
+    told = []
+    master.register_function(lambda node, name, address, uri: told.append(name) or [1, "", 1], "registerService")
+    opening = threading.Thread(target=rospy_compat._reg_added, daemon=True, args=(
+        manager_of(master), "/node/service", "rosrpc://127.0.0.1:1", Registration.SRV))
+    with topics.lock:
+        opening.start()
+        opening.join(WAIT_S)
+        assert told == ["/node/service"]
 
 
 def manager_of(master):

@@ -237,7 +237,7 @@ class StatePublishers:
                 path, "__ns:=/", "__name:=" + node_name(publisher.id).strip("/"),
                 "robot_description:=" + description_name(publisher.id),
                 "joint_states:=/humans/bodies/{}/joint_states".format(publisher.id),
-                # For each joint state it searches tf_prefix, asks whether what it has found exists, and reads that.
+                # It searches tf_prefix for each joint state, and reads what it finds only where that exists.
                 "~tf_prefix:=" + node_name(publisher.id) + "/no_tf_prefix"])
         except OSError as error:
             self._binary, self._binary_due = None, now + _BINARY_RETRY_S

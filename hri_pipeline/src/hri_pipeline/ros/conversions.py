@@ -474,6 +474,10 @@ class _SentImage(Image):
                      + _BEFORE_PIXELS.pack(self.is_bigendian, self.step, len(data)))
         buffer.write(data)
 
+    def __eq__(self, other: object) -> bool:
+        # genpy's asks whether the other is of this very class.
+        return isinstance(other, Image) and all(getattr(self, name) == getattr(other, name) for name in Image.__slots__)
+
 
 class _SentPoints:
     """What both have in common that are sent: a header and points, which are made one by one only where they are asked

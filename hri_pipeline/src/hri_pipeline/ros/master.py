@@ -332,7 +332,7 @@ class MasterWatch:
         """Tell the master, which may be a new one, all that this node has; False when it does not take it, for whatever
         reason."""
         rospy.logwarn("%s; registering all topics and services anew", "the ROS master has been started again" if is_new
-                      else "the ROS master did not answer when topics were opened")
+                      else "the ROS master did not answer when topics were opened or closed")
         not_registered.clear()      # before the topics are listed: what is opened from now on tells the master itself
         name, uri = rospy.get_name(), own_address()
         try:

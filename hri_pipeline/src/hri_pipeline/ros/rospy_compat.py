@@ -7,7 +7,7 @@ are sent and received stands in `tcpros.py`):
 
 - File descriptors: few for each topic, and a reserve (`resources.py`), without which rospy answers no call.
 - Release of publishers and subscribers with everything that rospy would leave open.
-- Topics that open, and calls that end, while the master is away, and topics that open together.
+- Topics that open, and calls that end, while the master is away, and topics that open and close together.
 - A node whose name another has taken over, and which does not end that one in turn.
 - Subscribers that hear a publisher which had gone when they connected, and has come back.
 - Throttled log lines whose time is not that of /clock, which may go back and forth.
@@ -290,7 +290,7 @@ class _ProxyWithTimeout(rospy.core._LockedServerProxy):
 
 
 not_registered = threading.Event()
-"""Set while the master may not know all topics and services of this process, as it has not answered."""
+"""Set while the master may not know which topics and services this process has, as it has not answered."""
 
 
 def register_without_waiting() -> None:
@@ -327,7 +327,11 @@ _CLOSED = {Registration.PUB: "unregisterPublisher", Registration.SUB: "unregiste
 
 def _reg_added(manager: RegManager, name: str, kind: str, of: str) -> None:
     """Register a topic or service with the master; kind: type, or address of a service."""
-    if of in _CLOSED and _batch.changes is not None:
+    if of not in _CLOSED:
+        # Without the lock of topics: who opens a topic holds it, and waits for that of the listeners, which rospy has
+        # taken here.
+        _call_master(manager, [_Change(of, name, kind)])
+    elif _batch.changes is not None:
         _batch.changes.append((manager, _Change(of, name, kind)))
     else:
         _tell_master(manager, [_Change(of, name, kind)])
@@ -364,31 +368,31 @@ def registered_together() -> Iterator[None]:
 
 
 def _tell_master(manager: RegManager, changes: Sequence[_Change]) -> None:
-    """Tell the master of what was opened and closed, at once; subscribers then hear who publishes.
+    """Tell the master of topics that were opened and closed, at once; subscribers then hear who publishes.
 
     Another thread may have closed what was opened here, and told that, or opened again what was closed: what is not
     so any more is not told.
     """
     topics = get_topic_manager()
     with topics.lock:
-        # A node that ends has perhaps been replaced by one of its name, which the master would end when this one
-        # registers. And a master that has not answered a moment ago is not waited for again.
-        is_late = rospy.is_shutdown() or not_registered.is_set()
         exist = {Registration.PUB: topics.pubs, Registration.SUB: topics.subs}
-        told = [change for change in changes
-                if (change.kind is None) != (change.of not in exist or change.name in exist[change.of])
-                and not (is_late and change.kind is not None)]
-        if told:
-            _call_master(manager, told)
+        _call_master(manager, [change for change in changes
+                               if (change.kind is None) != (change.name in exist[change.of])])
 
 
-def _call_master(manager: RegManager, told: Sequence[_Change]) -> None:
+def _call_master(manager: RegManager, changes: Sequence[_Change]) -> None:
+    # A node that ends has perhaps been replaced by one of its name, which the master would end when this one registers.
+    # And a master that has not answered a moment ago is not waited for again.
+    is_late = rospy.is_shutdown() or not_registered.is_set()
+    told = [change for change in changes if not (is_late and change.kind is not None)]
+    if not told:
+        return
     try:
         with ServerProxy(manager.master_uri, transport=TransportWithTimeout(_REGISTER_S)) as master:
             answers = [(code, text, found) for code, text, found in _answers(master, manager.uri, told)]
     except Exception as error:      # refused, timed out, half an answer
-        if any(change.kind is not None for change in told):
-            not_registered.set()
+        # Also where topics were only closed: it may do that later, when they are open again.
+        not_registered.set()
         manager.logger.error("%s is not told to the master, with %d more: %s", told[0].name, len(told) - 1, error)
         return
     for change, (code, text, found) in zip(told, answers):
