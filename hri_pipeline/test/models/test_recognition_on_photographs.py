@@ -12,6 +12,7 @@ from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.analysis import FaceDemand
 from hri_pipeline.core.onnx import ModelError, models_directory
 from hri_pipeline.core.recognition.embedding import FaceEmbedder, face_chip, load_face_embedder, similarity
+from hri_pipeline.core.recognition.enrolment import EnrolmentError, templates_of
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +102,52 @@ def masked(crop, colour):
     return cv2.GaussianBlur(picture, (0, 0), 0.7)
 
 
-def test_nose_and_mouth_are_covered_by_masks_and_not_by_beards_and_laughter(embedder):
+def in_glasses(crop, clearness, half=(0.14, 0.09)):
+    """A crop with glasses of so clear lenses (0 to 1) in dark frames."""
+    picture, size = crop.astype(np.float32), len(crop)
+    for centre in ((0.31, 0.31), (0.69, 0.31)):
+        lens = np.zeros((size, size), np.uint8)
+        place, axes = (tuple(int(value * size) for value in pair) for pair in (centre, half))
+        cv2.ellipse(lens, place, axes, 0, 0, 360, 255, -1, cv2.LINE_AA)
+        part = lens[..., None] / 255.0
+        picture = picture * (1.0 - part) + part * (clearness * picture + 6.0)
+        cv2.ellipse(picture, place, axes, 0, 0, 360, (25, 25, 25), 2, cv2.LINE_AA)
+    return np.clip(picture, 0, 255).astype(np.uint8)
+
+
+def test_dark_glasses_are_told_from_clear_ones_and_from_the_shade_of_a_cap(embedder):
+    crops = crops_of_photographs(embedder)
+    for clearness in (0.0, 0.1, 0.2):
+        assert embedder.behind_dark_glasses([in_glasses(crop, clearness) for crop in crops]).all(), clearness
+    shade = np.where(np.arange(150) < 66, 0.25, 1.0)[:, None, None]
+    for bare in (crops, [in_glasses(crop, 0.92) for crop in crops], [np.uint8(crop * shade) for crop in crops],
+                 [np.uint8(0.1 * crop) for crop in crops]):
+        assert not embedder.behind_dark_glasses(bare).any()
+    assert embedder.behind_dark_glasses([]).shape == (0,)
+
+
+def test_the_one_in_a_group_who_wears_dark_glasses_is_found_and_not_enrolled(embedder, tmp_path):
+    wanted = [label for label in identities() if label.file == "evaluation/group.jpg"]
+    if not (models_directory() / wanted[0].file).is_file():
+        pytest.skip("no {}; get it with `rosrun hri_pipeline fetch_models --models evaluation`".format(wanted[0].file))
+    stage = recognising_stage()
+    (_, image), = images(wanted, models_directory())
+    camera = CameraModel.from_fov(image.shape[1], image.shape[0], HFOV)
+    for look in range(8):
+        faces = stage.update(image, camera, 100.0 + 0.1 * look)
+    stage.close()
+    dark = embedder.behind_dark_glasses([embedder.crop(image, face.mesh) for face in faces])
+    hidden = nearest_face(wanted[0], np.array([face.box for face in faces]), image.shape)
+    assert len(faces) >= 5 and np.flatnonzero(dark).tolist() == [hidden]
+    x, y = int(wanted[0].x * image.shape[1]), int(wanted[0].y * image.shape[0])
+    reach = int(1.2 * np.ptp(faces[hidden].mesh[:, 0]))
+    picture = tmp_path / "one.png"
+    cv2.imwrite(str(picture), image[max(0, y - reach):y + reach, max(0, x - reach):x + reach])
+    with pytest.raises(EnrolmentError, match="one.png: dark glasses"):
+        templates_of([picture])
+
+
+def crops_of_photographs(embedder):
     stage, crops = recognising_stage(), []
     for number in (3, 6):
         image = cv2.imread(str(models_directory() / "demo" / "sample{}.jpg".format(number)))
@@ -110,6 +156,11 @@ def test_nose_and_mouth_are_covered_by_masks_and_not_by_beards_and_laughter(embe
             faces = stage.update(image, camera, 100.0 * number + 0.1 * look)
         crops += [embedder.crop(image, face.mesh) for face in faces]
     assert len(crops) >= 6
+    return crops
+
+
+def test_nose_and_mouth_are_covered_by_masks_and_not_by_beards_and_laughter(embedder):
+    crops = crops_of_photographs(embedder)
     assert not embedder.covered(crops, embedder.embed(crops)).any()
     for colour in ((215, 190, 150), (40, 38, 36), (235, 238, 240)):
         hidden = [masked(crop, colour) for crop in crops]

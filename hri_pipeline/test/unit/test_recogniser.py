@@ -19,7 +19,7 @@ from hri_pipeline.core.recognition.face_identity import FaceEvidence, FaceTempla
 from hri_pipeline.core.recognition.face_recognition import FaceRecognition
 from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
-from hri_pipeline.core.recognition.recogniser import COVERED, NOT_SEEN_WELL, SAME, Recogniser
+from hri_pipeline.core.recognition.recogniser import COVERED, DARK_GLASSES, NOT_SEEN_WELL, SAME, Recogniser
 from hri_pipeline.core.recognition.store import KnownPerson
 from hri_pipeline.core.recognition.stored_gallery import open_gallery
 
@@ -939,6 +939,7 @@ def recognition_of(embed):
     recognition._embedder.crop = lambda bgr, mesh, camera: bgr
     recognition._embedder.embed = embed
     recognition._embedder.covered = lambda crops, templates: np.zeros(len(crops), bool)
+    recognition._embedder.behind_dark_glasses = lambda crops: np.zeros(len(crops), bool)
     return recognition
 
 
@@ -998,6 +999,39 @@ def test_who_puts_a_mask_on_keeps_the_name_and_its_views():
     assert person and people.show("f1", 1, True, 20.0) == person
     assert len(people.recognition.recogniser.export(person).templates) == 1
     assert people.show("f1", 1, False, 2.0) == person and people.show("f2", 2, True, 6.0) == ""
+
+
+def with_dark_glasses():
+    """People of whom those seem to wear dark glasses who are `masked`; their templates are their own."""
+    people = MaskedPeople()
+    people._template = lambda crop: template(crop[0], 0.05)
+    people.recognition._embedder.covered = lambda crops, templates: np.zeros(len(crops), bool)
+    people.recognition._embedder.embed = lambda crops: np.array([people._template(crop) for crop in crops])
+    people.recognition._embedder.behind_dark_glasses = lambda crops: np.array([dark for _, dark in crops], bool)
+    return people
+
+
+def test_who_wears_dark_glasses_is_not_learnt_until_they_are_off():
+    """Who was learnt with them had a second id without them."""
+    people = with_dark_glasses()
+    assert people.show("f1", 1, True, 20.0) == ""
+    recogniser = people.recognition.recogniser
+    assert recogniser.unknown() == {"f1": DARK_GLASSES} and not recogniser.list_known()
+    with pytest.raises(ValueError, match="dark glasses only"):
+        recogniser.enrol("f1")
+    assert people.show("f1", 1, False, 5.0) in recogniser.list_known()
+    assert recogniser.enrol("f1", confirm=True)
+
+
+def test_who_is_known_is_found_with_dark_glasses_and_no_view_is_learnt_of_them():
+    people = with_dark_glasses()
+    person = people.show("f1", 1, False, 6.0)
+    recogniser = people.recognition.recogniser
+    views = len(recogniser.export(person).templates)
+    people._template = lambda crop: template(1, 0.3, 4)
+    assert people.show("f2", 1, True, 20.0) == person
+    people.show("f3", 9, False, 1.0)
+    assert len(recogniser.export(person).templates) == views
 
 
 def test_the_network_is_asked_what_is_covered_only_where_no_sure_name_agrees_and_seldom_of_a_mask():

@@ -21,6 +21,7 @@ from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.privacy import StoreError
 from hri_pipeline.core.recognition.gallery import MAX_TEMPLATES
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
+from hri_pipeline.core.recognition.recogniser import COVERED, DARK_GLASSES
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson
 
 ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".webp")
@@ -76,7 +77,10 @@ def templates_of(paths: Sequence[Path], model: str = "") -> PhotographTemplates:
                 continue
             template = embedder.embed([crop])
             if embedder.covered([crop], template)[0]:
-                left_out.append("{}: nose and mouth are covered".format(path.name))
+                left_out.append("{}: {}".format(path.name, COVERED))
+                continue
+            if embedder.behind_dark_glasses([crop])[0]:
+                left_out.append("{}: {}".format(path.name, DARK_GLASSES))
                 continue
             templates.append(template[0])
             used.append(path.name)

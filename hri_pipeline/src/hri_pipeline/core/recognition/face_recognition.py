@@ -87,6 +87,8 @@ class FaceRecognition:
         covered = self._covered(crops, stamp)
         self.recogniser.note_cover(covered, stamp)
         shown = [face_id for face_id in chosen if not covered.get(face_id)]
+        self.recogniser.note_dark_glasses(dict(zip(shown, self._embedder.behind_dark_glasses(
+            [crops[face_id] for face_id in shown]).tolist())))
         return self.recogniser.update(shown, [self.made[face_id] for face_id in shown],
                                       [self._qualities[face_id] for face_id in shown], stamp)
 

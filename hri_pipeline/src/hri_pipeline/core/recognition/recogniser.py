@@ -45,6 +45,8 @@ NOT_SEEN_WELL = "not seen well yet"
 """Why a face is nobody's, where its crops are the reason."""
 COVERED = "nose and mouth are covered"
 """The same, of somebody with a mask or scarf."""
+DARK_GLASSES = "dark glasses"
+"""The same, where they hide the eyes."""
 OPEN_S = 1.0
 """Time (s) for which a face that showed nose and mouth is not asked again."""
 SAME = 0.95
@@ -151,6 +153,14 @@ class Recogniser:
                 elif face is not None:
                     face.open = stamp
 
+    def note_dark_glasses(self, worn: Mapping[str, bool]) -> None:
+        """Take note by face whether its eyes were behind dark glasses in the last crop: it may be somebody known, but
+        nothing is learnt of it, as people are alike so and unlike themselves."""
+        with self._lock:
+            for face_id, is_worn in worn.items():
+                if face_id in self._faces:
+                    self._faces[face_id].has_dark_glasses = is_worn
+
     def turn(self, rotation: ImageRotation) -> None:
         """Take note that the images are turned by `rotation` from now on, against those before."""
         with self._lock:
@@ -168,7 +178,9 @@ class Recogniser:
                 len(face_ids), len(templates), len(qualities)))
         with self._lock:
             for face_id, template, quality in zip(face_ids, templates, qualities):
-                self._take(face_id, np.asarray(template, dtype=np.float32), float(quality), stamp)
+                face = self._faces.get(face_id)
+                usable = float(quality) if face is None else face.usable(float(quality))
+                self._take(face_id, np.asarray(template, dtype=np.float32), usable, stamp)
             return self.changes()
 
     def changes(self) -> List[PersonMatch]:
@@ -268,6 +280,9 @@ class Recogniser:
             template = face.evidence.mean() if face is not None else None
             if face is None or template is None or len(face.evidence) < NAMING_CROPS:
                 raise GalleryError("face {!r} is not tracked, or has not been seen well enough yet".format(face_id))
+            if face.has_dark_glasses and not face.evidence.good(LEARN_QUALITY) and not confirm:
+                raise GalleryError("face {!r} has been seen with dark glasses only: take them off, or confirm".format(
+                    face_id))
             person_id = person_id or ("" if confirm else face.person) or self._new_id()
             alike = [one.person_id for one in self.gallery.alike(
                 template, self.gallery.calibration.fair_midpoint, person_id) if one.person_id not in face.apart]
@@ -471,7 +486,7 @@ class Recogniser:
         if face.barred:
             return "forgotten while in view"
         if evidence.good(LEARN_QUALITY) < LEARN_CROPS:
-            return COVERED if face.is_covered else NOT_SEEN_WELL
+            return COVERED if face.is_covered else DARK_GLASSES if face.has_dark_glasses else NOT_SEEN_WELL
         if evidence.duration < self.learn_delay:
             return "seen for {:.1f} of {:g} s".format(evidence.duration, self.learn_delay)
         if face.is_picture:
