@@ -126,8 +126,10 @@ def test_jitter_does_not_hang_on_the_size_in_the_image_nor_on_the_rate():
 @pytest.mark.parametrize("rate", [4.0, 10.0, 30.0])
 def test_who_walks_or_nods_is_as_reliable_as_who_stands(rate):
     times = 100.0 + np.arange(60) / rate
-    walking = STANDING + np.stack([280.0 * times, 6.0 * np.sin(2.0 * np.pi * times)], axis=1)[:, None]
-    assert reliability_of(walking, times).min() > 0.95
+    uneven = times + np.where(np.arange(60) % 3, 0.0, 0.3 / rate)
+    for stamps in (times, uneven):
+        walking = STANDING + np.stack([280.0 * stamps, 15.0 * np.sin(5.0 * stamps)], axis=1)[:, None]
+        assert reliability_of(walking, stamps).min() > 0.98
     waving = np.tile(STANDING, (60, 1, 1))
     waving[:, skeleton.LEFT_WRIST, 0] += 60.0 * np.sin(10.0 * times)
     assert reliability_of(waving, times).min() > 0.98
