@@ -359,6 +359,24 @@ def test_key_points_that_tremble_are_told_with_less_confidence():
     assert trembling.judged_keypoints[:, :2] == pytest.approx(trembling.keypoints[:, :2])
 
 
+@pytest.mark.parametrize("every", [1, 2])
+def test_key_points_that_tremble_with_the_camera_are_told_as_sure_as_before(every):
+    random, shape = np.random.default_rng(4), BodyLocalizer()
+    _, estimate = human(1.0, np.array([0.0, 0.0, 3.0]))
+    place, track = np.zeros(2), BodyTrack("b", PoseDetection(estimate, None), 0.0, TrackLife(0.0, 0.0, 1.0))
+    for index in range(24):
+        now = 0.1 * index
+        way = random.normal(0.0, 30.0, 2)
+        place = place + way
+        track.carry(way)
+        if index % every == 0:
+            landmarks = estimate.landmarks.copy()
+            landmarks[:, :2] += place
+            track.update(PoseDetection(replace(estimate, landmarks=landmarks), None), now, False)
+        told = shape.observe(track, CAMERA, now, None, SceneContext())
+    assert told.reliability is not None and told.reliability.min() > 0.98
+
+
 def test_a_body_between_two_looks_is_turned_with_the_images():
     points, estimate = human(1.0, WHOLE)
     track = BodyTrack("b", PoseDetection(estimate, points), 0.0, TrackLife(0.0, 0.0, 1.0))
