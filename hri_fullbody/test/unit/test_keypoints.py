@@ -135,6 +135,15 @@ def test_who_walks_or_nods_is_as_reliable_as_who_stands(rate):
     assert reliability_of(waving, times).min() > 0.98
 
 
+@pytest.mark.parametrize("deviation, least, most", [(0.0, 0.98, 1.0), (30.0, 0.05, 0.6)])
+def test_while_the_camera_shakes_only_what_key_points_do_against_each_other_counts(deviation, least, most):
+    random, jitter = np.random.default_rng(6), skeleton.Jitter()
+    for index in range(40):
+        points = STANDING + random.normal(0.0, 40.0, 2) + random.normal(0.0, deviation, (18, 2))
+        jitter.update(points, 400.0, 0.1 * index, index > 0)
+    assert least <= jitter.reliability.min() <= jitter.reliability[skeleton.NOSE] <= most
+
+
 def test_looks_far_apart_and_stamps_that_go_back_are_not_compared():
     away = STANDING + 300.0
     assert reliability_of([STANDING, away, STANDING, away], [0.0, 0.6, 1.2, 1.8]).min() == 1.0

@@ -135,7 +135,8 @@ class Jitter:
 
     The network is as sure of small, blurred and noisy bodies as of clear ones, but what it says of them changes: the
     second difference of the key points over time tells, to which people's own motion adds little from 10 looks a second
-    on; below, what is usual of it is taken off.
+    on; below, what is usual of it is taken off. What all points do together tells as much as the rest, but is left out
+    while the camera turns or shakes.
     """
 
     def __init__(self) -> None:
@@ -148,17 +149,24 @@ class Jitter:
         self._last: Optional[np.ndarray] = None
         self._way: Optional[np.ndarray] = None
         self._stamp = self._step = 0.0
+        self._carried = False
 
-    def update(self, points: np.ndarray, extent: float, stamp: float) -> None:
-        """Take the unfiltered key points (18, 2) px of a look at `stamp` (s); extent: size of the body, px."""
+    def update(self, points: np.ndarray, extent: float, stamp: float, carried: bool = False) -> None:
+        """Take the unfiltered key points (18, 2) px of a look at `stamp` (s).
+
+        extent: size of the body, px. carried: whether the camera has turned since the look before.
+        """
         step = stamp - self._stamp
         if self._last is None or not 0.0 < step <= _JITTER_STEP_S:
             self._last, self._way, self._stamp = points, None, stamp
             return
         way = points - self._last
         if self._way is not None:
-            self._compare(way - step / self._step * self._way, step, max(_trunk(points), _LEAST_TRUNK * extent, 1.0))
-        self._last, self._way, self._stamp, self._step = points, way, stamp, step
+            change = way - step / self._step * self._way
+            if carried or self._carried:
+                change = change - [median_of_few(change[:, 0]), median_of_few(change[:, 1])]
+            self._compare(change, step, max(_trunk(points), _LEAST_TRUNK * extent, 1.0))
+        self._last, self._way, self._stamp, self._step, self._carried = points, way, stamp, step, carried
 
     def _compare(self, change: np.ndarray, step: float, trunk: float) -> None:
         """change: (18, 2) px, of the way of `step` s against that of the step before."""

@@ -388,8 +388,7 @@ class BodyLocalizer:
             self._pixels_per_metre = estimate.extent / _BODY_METRES
         pixels = estimate.landmarks[:BODY_LANDMARKS, :2]
         self._pixels = self._image(pixels / self._pixels_per_metre, track.stamp) * self._pixels_per_metre
-        # In a camera that shakes all points tremble together, and are right.
-        self._jitter.update(to_18_points(pixels) - track.carried, estimate.extent, track.stamp)
+        self._jitter.update(to_18_points(pixels), estimate.extent, track.stamp, track.carried)
         points = track.detection.points
         measured = None if points is None else _depth_cue_of(points, track, camera, context)
         self._had_face = self._had_face or face is not None
