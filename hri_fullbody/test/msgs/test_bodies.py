@@ -26,7 +26,7 @@ from hri_fullbody.core.modeller import BodyInput, BodyModeller
 from hri_fullbody.core.tracking.reidentification import Reidentification
 from hri_fullbody.ros import bodies
 from hri_fullbody.ros.bodies import BodyProcessor, ReidentificationMatches, body_transform, drawn
-from hri_fullbody.ros.topics import crop, joint_state
+from hri_fullbody.ros.topics import BodyTopics, crop, joint_state
 from hri_msgs.msg import BodyAttitude, BodyPosture, IdsList
 from hri_msgs.msg import Gesture as GestureMessage
 from hri_pipeline.core.camera import CameraModel
@@ -85,6 +85,18 @@ def test_filtered_points_are_drawn_and_observed_ones_where_there_is_no_model():
     assert drawn(body, model).keypoints_3d is model.points
     assert drawn(body, None) is body
     assert drawn(replace(body, measured=False), model).keypoints_3d is body.keypoints_3d
+
+
+def test_a_key_point_is_published_as_sure_as_it_is_seen_and_right():
+    topics = BodyTopics("paper")
+    topics._publishers = MagicMock()
+    points = np.tile([2.0, 1.0, 0.8], (18, 1))
+    body = BodyObservation("abcde", np.array([0.0, 0, 4, 4]), 0.9, points, np.full((18, 3), 7.0))
+    for reliability, told in ((None, 0.8), (np.full(18, 0.5), 0.4)):
+        topics.publish_seen(replace(body, reliability=reliability), FRAME)
+        sent = {call.args[1]: call.args[2] for call in topics._publishers.publish.call_args_list}["skeleton2d"]
+        assert [point.c for point in sent.skeleton] == pytest.approx([told] * 18)
+        assert (sent.skeleton[4].x, sent.skeleton[4].y) == pytest.approx((2.0 / 3.0, 1.0 / 3.0), abs=0.2)
 
 
 def test_a_crop_is_the_part_of_the_box_that_is_in_the_image():

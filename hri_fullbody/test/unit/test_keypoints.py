@@ -85,3 +85,78 @@ def test_thighs_of_who_is_bent_forward_do_not_hang():
     landmarks, world = with_knees((0.0, 0.4, 0.0), (0.0, 0.4, 0.0))
     world[[11, 12]] = (0.2, 0.0, -0.5), (-0.2, 0.0, -0.5)
     assert not skeleton.thighs_leave_image(landmarks, world, 430)
+
+
+STANDING = np.zeros((18, 2))
+STANDING[[skeleton.LEFT_HIP, skeleton.RIGHT_HIP], 1] = 100.0
+STANDING[[skeleton.LEFT_KNEE, skeleton.RIGHT_KNEE], 1] = 180.0
+
+
+def reliability_of(looks, times):
+    """Reliability after looks (N, 18, 2) px, of a body whose trunk is 100 px long, at `times` (N,) s."""
+    jitter = skeleton.Jitter()
+    for points, stamp in zip(looks, times):
+        jitter.update(points, 400.0, stamp)
+    return jitter.reliability
+
+
+def trembling(deviation, rate, count=40):
+    """Looks of somebody who stands still, with independent errors of `deviation` px along each axis."""
+    errors = np.random.default_rng(1).normal(0.0, deviation, (count, 18, 2))
+    return reliability_of(STANDING + errors, 100.0 + np.arange(count) / rate)
+
+
+def test_the_more_a_body_trembles_the_seldomer_its_key_points_are_right():
+    shares = [trembling(deviation, 10.0) for deviation in (0.0, 1.0, 5.0, 15.0, 40.0)]
+    assert shares[0].min() > 0.98 and shares[1].min() > 0.97
+    assert (np.diff(shares, axis=0) < 0.0).all()
+    assert shares[3][skeleton.NOSE] > shares[3][skeleton.LEFT_KNEE] > shares[3][skeleton.LEFT_WRIST]
+    assert shares[4].max() < 0.4
+
+
+def test_jitter_does_not_hang_on_the_size_in_the_image_nor_on_the_rate():
+    times = 100.0 + np.arange(60) / 10.0
+    errors = np.random.default_rng(2).normal(0.0, 10.0, (60, 18, 2))
+    uneven = times + np.where(np.arange(60) % 2, 0.03, 0.0)
+    usual = reliability_of(STANDING + errors, times)
+    assert reliability_of(3.0 * (STANDING + errors), times) == pytest.approx(usual, abs=0.01)
+    assert reliability_of(STANDING + errors, uneven) == pytest.approx(usual, abs=0.05)
+
+
+@pytest.mark.parametrize("rate", [4.0, 10.0, 30.0])
+def test_who_walks_or_nods_is_as_reliable_as_who_stands(rate):
+    times = 100.0 + np.arange(60) / rate
+    uneven = times + np.where(np.arange(60) % 3, 0.0, 0.3 / rate)
+    for stamps in (times, uneven):
+        walking = STANDING + np.stack([280.0 * stamps, 15.0 * np.sin(5.0 * stamps)], axis=1)[:, None]
+        assert reliability_of(walking, stamps).min() > 0.98
+    waving = np.tile(STANDING, (60, 1, 1))
+    waving[:, skeleton.LEFT_WRIST, 0] += 60.0 * np.sin(10.0 * times)
+    assert reliability_of(waving, times).min() > 0.98
+
+
+@pytest.mark.parametrize("deviation, least, most", [(0.0, 0.98, 1.0), (30.0, 0.05, 0.6)])
+def test_while_the_camera_shakes_only_what_key_points_do_against_each_other_counts(deviation, least, most):
+    random, jitter = np.random.default_rng(6), skeleton.Jitter()
+    for index in range(40):
+        points = STANDING + random.normal(0.0, 40.0, 2) + random.normal(0.0, deviation, (18, 2))
+        jitter.update(points, 400.0, 0.1 * index, index > 0)
+    assert least <= jitter.reliability.min() <= jitter.reliability[skeleton.NOSE] <= most
+
+
+def test_looks_far_apart_and_stamps_that_go_back_are_not_compared():
+    away = STANDING + 300.0
+    assert reliability_of([STANDING, away, STANDING, away], [0.0, 0.6, 1.2, 1.8]).min() == 1.0
+    assert reliability_of([STANDING, away, STANDING, away], [5.0, 5.0, 4.0, 4.0]).min() == 1.0
+    jitter = skeleton.Jitter()
+    assert jitter.reliability == pytest.approx(np.ones(18))
+    for index in range(4):
+        jitter.update(STANDING + 300.0 * (index % 2), 400.0, 0.1 * index)
+        jitter.reset()
+    assert jitter.reliability == pytest.approx(np.ones(18))
+
+
+def test_a_trunk_without_length_in_the_image_gives_no_endless_jitter():
+    bent = np.zeros((18, 2))
+    assert 0.0 < reliability_of([bent, bent + 1.0, bent, bent + 1.0], [0.0, 0.1, 0.2, 0.3]).min() < 1.0
+    assert np.isfinite(reliability_of([bent, bent + 1e5, bent], [0.0, 1e-9, 0.3])).all()

@@ -339,6 +339,44 @@ def test_the_key_points_of_who_comes_nearer_keep_up():
     assert max(behind) < 3.0
 
 
+def test_key_points_that_tremble_are_told_with_less_confidence():
+    """What the network is sure of stays as it is for those who judge legs and arms by it."""
+    random, told = np.random.default_rng(3), {}
+    for deviation in (0.5, 30.0):
+        shape, track = BodyLocalizer(), None
+        for index in range(20):
+            _, estimate = human(1.0, np.array([0.0, 0.0, 3.0]))
+            landmarks = estimate.landmarks.copy()
+            landmarks[:, :2] += random.normal(0.0, deviation, (len(landmarks), 2))
+            detection = PoseDetection(replace(estimate, landmarks=landmarks), None)
+            track = track or BodyTrack("b", detection, 0.0, TrackLife(0.0, 0.0, 1.0))
+            track.update(detection, 0.1 * index, False)
+            told[deviation] = shape.observe(track, CAMERA, 0.1 * index, None, SceneContext())
+    calm, trembling = told[0.5], told[30.0]
+    assert trembling.keypoints[:, 2] == pytest.approx(calm.keypoints[:, 2])
+    assert calm.judged_keypoints[:, 2] == pytest.approx(calm.keypoints[:, 2], abs=0.03)
+    assert (trembling.judged_keypoints[:, 2] < calm.judged_keypoints[:, 2] - 0.05).all()
+    assert trembling.judged_keypoints[:, :2] == pytest.approx(trembling.keypoints[:, :2])
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_key_points_that_tremble_with_the_camera_are_told_as_sure_as_before(every):
+    random, shape = np.random.default_rng(4), BodyLocalizer()
+    _, estimate = human(1.0, np.array([0.0, 0.0, 3.0]))
+    place, track = np.zeros(2), BodyTrack("b", PoseDetection(estimate, None), 0.0, TrackLife(0.0, 0.0, 1.0))
+    for index in range(24):
+        now = 0.1 * index
+        way = random.normal(0.0, 30.0, 2)
+        place = place + way
+        track.carry(way)
+        if index % every == 0:
+            landmarks = estimate.landmarks.copy()
+            landmarks[:, :2] += place
+            track.update(PoseDetection(replace(estimate, landmarks=landmarks), None), now, False)
+        told = shape.observe(track, CAMERA, now, None, SceneContext())
+    assert told.reliability is not None and told.reliability.min() > 0.98
+
+
 def test_a_body_between_two_looks_is_turned_with_the_images():
     points, estimate = human(1.0, WHOLE)
     track = BodyTrack("b", PoseDetection(estimate, points), 0.0, TrackLife(0.0, 0.0, 1.0))

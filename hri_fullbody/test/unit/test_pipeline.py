@@ -733,3 +733,13 @@ def test_while_the_camera_pans_nobody_s_body_becomes_the_neighbour_s(with_faces)
         faces = people.faces(0.1 * number) if with_faces else []
     assert all(len(humans) == 1 for humans in owners.values()), owners
     assert {human for humans in owners.values() for human in humans} == {0, 1, 2} and len(owners) <= 4, owners
+
+
+def test_in_a_camera_that_shakes_key_points_count_as_in_one_that_stands():
+    stage, scene, _ = make([])
+    stage._pose = stage._tracker._pose = people = Panned([])
+    for number, pan in enumerate([0.0] * 10 + np.random.default_rng(5).uniform(-0.03, 0.03, 20).tolist()):
+        image = people.look(pan)
+        scene.people = people.people
+        bodies = stage.update(image, CAMERA, 0.1 * number, [])
+    assert [body.reliability.min() > 0.97 for body in bodies] == [True] * 3

@@ -55,7 +55,7 @@ class BodyTopics:
                 body.box, width, height, self._interface, frame.header, body.score))
         if self._listened(body.id, "skeleton2d"):
             self._publishers.publish(body.id, "skeleton2d",
-                                     skeleton_to_msg(body.keypoints, frame.header, width, height))
+                                     skeleton_to_msg(body.judged_keypoints, frame.header, width, height))
         if self._listened(body.id, "cropped"):
             part = crop(frame.bgr, body.box)
             if part is not None:

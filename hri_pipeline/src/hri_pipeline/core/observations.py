@@ -74,7 +74,7 @@ class BodyObservation:
     """One tracked body in one image.
 
     box: (4,) x0, y0, x1, y1 px. score: 0 to 1.
-    keypoints: (18, 3) x px, y px, confidence 0 to 1, in the order of hri_msgs/Skeleton2D.
+    keypoints: (18, 3) x px, y px, 0 to 1 how sure the network sees it, in the order of hri_msgs/Skeleton2D.
     keypoints_3d: (18, 3) m in the optical frame, NaN where unknown.
     pose: body frame in the optical frame, m; None when it is not known.
     head: face frame in the optical frame, m, of the tracked face that is this body's; None without one.
@@ -85,6 +85,7 @@ class BodyObservation:
     image_trunk: length (m) of the trunk at the scale of head and shoulders in the image; NaN unknown, or not
         measured in this image.
     leaving: whether both thighs were measured to hang out of the image.
+    reliability: (18,) 0 to 1, how often key points that are seen are right where they are; None: always.
     """
 
     id: str
@@ -100,6 +101,14 @@ class BodyObservation:
     hands: Optional[np.ndarray] = None
     image_trunk: float = math.nan
     leaving: bool = False
+    reliability: Optional[np.ndarray] = None
+
+    @property
+    def judged_keypoints(self) -> np.ndarray:
+        """The key points (18, 3) x px, y px, confidence 0 to 1 that they are seen and right: what is told to others."""
+        if self.reliability is None:
+            return self.keypoints
+        return np.column_stack([self.keypoints[:, :2], self.keypoints[:, 2] * self.reliability])
 
 
 # An image with both faces and bodies is preferred to newer ones with one kind up to this age (s).

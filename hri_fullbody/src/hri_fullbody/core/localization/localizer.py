@@ -20,6 +20,7 @@ from hri_fullbody.core.keypoints import (
     BLAZE_LEFT_SHOULDER,
     BLAZE_RIGHT_HIP,
     BLAZE_RIGHT_SHOULDER,
+    Jitter,
     confidence_18,
     thighs_leave_image,
     to_18_points,
@@ -300,6 +301,7 @@ class BodyLocalizer:
     def __init__(self) -> None:
         self._image = OneEuro(1.5, 6.0)
         self._distance = OneEuro(0.8, 4.0)
+        self._jitter = Jitter()
         self._scale = BodyScale()
         self._cut_range, self._face_leaves, self._had_face = CutRange(), False, False
         self._pixels_per_metre: Optional[float] = None
@@ -318,6 +320,7 @@ class BodyLocalizer:
     def turn(self, rotation: ImageRotation) -> None:
         """Turn with the images; the filter of the key points begins with the next ones."""
         self._image.reset()
+        self._jitter.reset()
         self._pixels = None if self._pixels is None else rotation.pixels(self._pixels)
         self._points = None if self._points is None else rotation.vectors(self._points)
         self._face = None if self._face is None else rotation.vectors(self._face)
@@ -356,7 +359,7 @@ class BodyLocalizer:
         leaving = measured and thighs_leave_image(last.landmarks, last.world, camera.height)
         return BodyObservation(track.id, _in_image(still.box, moved, camera.width, camera.height),
                                estimate.score, keypoints, in_space, pose, face, velocity, measured, self.by_depth,
-                               still.hands, trunk, leaving)
+                               still.hands, trunk, leaving, self._jitter.reliability)
 
     def _standing_still(self, track: BodyTrack) -> _Still:
         """The body as it was measured last, made once for all images until the next measurement."""
@@ -385,6 +388,7 @@ class BodyLocalizer:
             self._pixels_per_metre = estimate.extent / _BODY_METRES
         pixels = estimate.landmarks[:BODY_LANDMARKS, :2]
         self._pixels = self._image(pixels / self._pixels_per_metre, track.stamp) * self._pixels_per_metre
+        self._jitter.update(to_18_points(pixels), estimate.extent, track.stamp, track.carried)
         points = track.detection.points
         measured = None if points is None else _depth_cue_of(points, track, camera, context)
         self._had_face = self._had_face or face is not None

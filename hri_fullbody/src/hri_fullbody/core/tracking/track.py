@@ -216,6 +216,7 @@ class BodyTrack:
     box_confirmed: None until the person detector was asked for the body, then whether it has ever seen a person there.
     rival: id of the body that was hidden where this one began: once that is seen there again, they are one human.
     wait: time (s) between two turns lately. appearance: see `appearance.describe`, learnt while unoccluded.
+    carried: whether the camera turned between the last two times that it was seen.
     """
 
     def __init__(self, body_id: str, detection: PoseDetection, stamp: float, life: TrackLife,
@@ -245,7 +246,7 @@ class BodyTrack:
         self._face_stamp = stamp
         self._face_centre: Optional[np.ndarray] = None
         self._face_when_seen: Optional[np.ndarray] = None
-        self._carried = np.zeros(2)
+        self._carried, self.carried = np.zeros(2), False
         self._anchor_side = FACE_WINDOW_SIZES[0] if anchor is None else anchor
         self._anchored_until = -np.inf if anchor is None else stamp + _ANCHOR_HOLD
         if face is not None:
@@ -371,7 +372,8 @@ class BodyTrack:
         step = max(0.0, stamp - self.stamp)
         self.returning = self.has_gap(stamp)
         self._seen_since = stamp if self.returning else self._seen_since
-        self.detection, self.stamp, self._expected, self._carried = detection, stamp, None, np.zeros(2)
+        self.detection, self.stamp, self._expected = detection, stamp, None
+        self.carried, self._carried = bool(self._carried.any()), np.zeros(2)
         self._face_when_seen = self._face_centre if self._face_stamp == stamp else None
         self.described_at = self.described_at if detection.appearance is None else stamp
         if self.cut:
