@@ -20,7 +20,7 @@ _REACH, _TRIES = 3.0, 500       # px by which those that agree differ; RANSAC
 # Of ten photographs a fifth of the corners and more agreed up to a zoom of 2, at 3 none to a third; of two different
 # ones 6 corners at most.
 _AGREEING, _SHARE = 15, 0.15
-# So many others (of those that agree, and by chance) may go nearly (px) where these go, or stay where they were. More do
+# So many others (a part of those that agree, and some by chance) may go nearly (px) where these go, or stay. More do
 # where the camera turns: of 64 turns by 12 to 24 degrees before four photographs that nothing was tuned on, 14 passed
 # for jumps without this, with places up to 250 px wrong, none with it; of 36 zooms and shifts 35 are found, as without.
 # More stay where somebody near comes nearer.
