@@ -200,6 +200,14 @@ def test_who_was_not_seen_for_a_while_is_waited_for_behind_a_black_image_as_befo
     assert tracker.tracks == []
 
 
+def picture_of(scene, background):
+    """An image of the people of a scene before a background."""
+    image, shown = background.copy(), scene.image()
+    mask = (shown != 90).any(axis=2)
+    image[mask] = shown[mask]
+    return image
+
+
 @pytest.mark.parametrize("moved, clothes, walks, kept", [
     (0, (40, 40, 200), False, True), (30, (40, 40, 200), False, True), (230, (40, 40, 200), False, False),
     (0, (200, 60, 40), False, False), (0, (40, 40, 200), True, False)],
@@ -208,21 +216,14 @@ def test_who_stood_when_the_light_went_is_the_same_two_seconds_later(moved, clot
     scene = Walkers([(300 if walks else 600, 400)], [(40, 40, 200)])
     tracker = make(scene)
 
-    def picture():
-        image = NOISE.copy()
-        shown = scene.image()
-        mask = (shown != 90).any(axis=2)
-        image[mask] = shown[mask]
-        return image
-
-    stamp = run(tracker, 0.0, 1, boxes=[box_of(*scene.people[0])], image=picture())
+    stamp = run(tracker, 0.0, 1, boxes=[box_of(*scene.people[0])], image=picture_of(scene, NOISE))
     for _ in range(30):
         scene.people = [(scene.people[0][0] + (10 if walks else 0), 400)]
-        stamp = run(tracker, stamp, 1, boxes=[box_of(*scene.people[0])], image=picture())
+        stamp = run(tracker, stamp, 1, boxes=[box_of(*scene.people[0])], image=picture_of(scene, NOISE))
     assert [track.id for track in tracker.published(stamp)] == ["b0"]
     stamp = run(tracker, stamp, 40)
     scene.people, scene.colours = [(scene.people[0][0] + moved, 400)], [clothes]
-    stamp = run(tracker, stamp, 12, boxes=[box_of(*scene.people[0])], image=picture())
+    stamp = run(tracker, stamp, 12, boxes=[box_of(*scene.people[0])], image=picture_of(scene, NOISE))
     assert [track.id for track in tracker.published(stamp)] == (["b0"] if kept else ["b1"])
 
 
@@ -244,6 +245,19 @@ def test_after_a_dark_that_ends_with_another_picture_nobody_is_waited_for():
     stamp = run(tracker, stamp, 8)
     run(tracker, stamp, 1, image=NOISE[::-1, ::-1])
     assert not any(track.hidden for track in tracker.tracks)
+
+
+def test_another_picture_after_the_dark_ends_the_waiting_for_who_stood():
+    """A film from one scene to the next, a camera that is carried away: who is alike there is somebody else."""
+    scene = Walkers([(600, 400)], [(40, 40, 200)])
+    tracker, background = make(scene), NOISE.copy()
+    background[:, 500:800] = 90
+    stamp = run(tracker, 0.0, 30, boxes=[box_of(600, 400)], image=picture_of(scene, background))
+    stamp = run(tracker, stamp, 40)
+    assert [track.id for track in tracker.tracks] == ["b0"]
+    scene.people = [(700, 400)]
+    stamp = run(tracker, stamp, 6, boxes=[box_of(700, 400)], image=picture_of(scene, background[::-1, ::-1]))
+    assert [track.id for track in tracker.published(stamp)] == ["b1"]
 
 
 def test_who_comes_back_after_a_cut_must_be_confirmed_anew():

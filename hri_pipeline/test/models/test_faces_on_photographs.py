@@ -146,6 +146,16 @@ def test_faces_outlive_a_short_dark_and_no_long_one_and_nobody_takes_their_ids(s
     assert now == before if stay else len(now & before) <= other
 
 
+def test_after_a_zoom_nobody_is_told_without_a_look():
+    """Where corners say that a face is now, nobody has looked yet."""
+    stage = FacePipeline(FACES.resolve({"face_mesh_rate": 2.0, "face_budget": 1000.0, "cpu_share": 0.0}))
+    image = cv2.resize(photograph("sample1"), (960, 640), interpolation=cv2.INTER_AREA)
+    zoomed = cv2.warpAffine(image, np.array([[0.75, 0.0, 120.0], [0.0, 0.75, 80.0]]), (960, 640))
+    seen = watch(stage, [image] * 20 + [zoomed])
+    assert len(seen[-2]) == 3 and not all(face.measured for face in seen[-2])
+    assert ids(seen[-1]) == ids(seen[-2]) and all(face.measured for face in seen[-1])
+
+
 @pytest.mark.parametrize("patience", [0.05, 1.0])
 def test_an_image_that_did_not_arrive_as_a_whole_costs_nobody_more_than_that_image(patience):
     """However soon faces that are gone end."""

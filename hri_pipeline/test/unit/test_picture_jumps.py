@@ -1,5 +1,7 @@
 """Pictures that jump: sudden zooms, bars, and images that are shifted; rooms made of rectangles."""
 
+import math
+
 import cv2
 import numpy as np
 import pytest
@@ -46,12 +48,37 @@ def logo(image):
     return cv2.putText(image, "CHANNEL 7", (900, 80), cv2.FONT_HERSHEY_SIMPLEX, 1.8, (255, 255, 255), 5)
 
 
+def turned(image, degrees):
+    """What a camera of 90 degrees shows that has turned to the right, where it has shown `image`."""
+    angle, focal = math.radians(degrees), 0.5 * WIDTH
+    camera = np.array([[focal, 0.0, WIDTH / 2.0], [0.0, focal, HEIGHT / 2.0], [0.0, 0.0, 1.0]])
+    cosine, sine = math.cos(angle), math.sin(angle)
+    rotation = np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
+    return cv2.warpPerspective(image, camera @ rotation @ np.linalg.inv(camera), (WIDTH, HEIGHT))
+
+
+def visitor(size):
+    """Somebody in patterned clothes, `size` px wide, at the right before a wall with a few things on it."""
+    random = np.random.default_rng(7)
+    image = np.full((HEIGHT, WIDTH, 3), 110, np.uint8)
+    for _ in range(10):
+        x, y = random.integers(0, (480, 620)).tolist()
+        w, h = random.integers(12, 80, 2).tolist()
+        cv2.rectangle(image, (x, y), (x + w, y + h), random.integers(0, 255, 3).tolist(), -1)
+    clothes = cv2.resize(room(1)[:360, :360], (size, size))
+    image[HEIGHT - size:, WIDTH - size - 20:WIDTH - 20] = clothes
+    return np.clip(image + np.random.default_rng(size).normal(0.0, 2.0, image.shape), 0, 255).astype(np.uint8)
+
+
 BLACK = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
 OTHERS = {
     "the same": (room(1), room(1)), "about the same": (room(1), moved(room(1), 1.01, (4.0, -3.0))),
     "another room": (room(1), room(2)), "a logo": (logo(room(1)), moved(logo(room(2)), 1.0, (-60.0, 30.0))),
     "upside down": (room(1), np.ascontiguousarray(np.rot90(room(1), 2))),
     "a turn": (room(1), moved(room(1), 1.08, (-300.0, -20.0))), "another size": (room(1), room(1)[::2, ::2]),
+    "a fast turn": (turned(room(1), 5.0), turned(room(1), 25.0)),
+    "a fast turn back": (turned(room(2), 18.0), turned(room(2), 0.0)),
+    "somebody comes near": (visitor(520), visitor(640)),
     "to black": (room(1), BLACK), "from black": (BLACK, room(1))}
 
 
@@ -90,6 +117,14 @@ def test_a_zoom_is_told_after_a_moment_of_dark_and_where_the_images_have_turned(
     assert cuts.jump is not None and cuts.jump.scale == pytest.approx(1.6, rel=0.01)
     cuts.reset()
     assert cuts.jump is None and not cuts.update(room(1), 1.3)
+
+
+def test_after_images_of_another_size_no_jump_is_looked_for():
+    """Their pictures may be of one size, but what is known of them is in pixels of the images."""
+    cuts, small = PictureCuts(jumps=True), cv2.resize(room(1), (480, 270), interpolation=cv2.INTER_AREA)
+    cuts.update(small, 1.0)
+    cuts.update(cv2.resize(moved(room(1), 2.0, (-640.0, -360.0)), (960, 540), interpolation=cv2.INTER_AREA), 1.1)
+    assert cuts.jump is None
 
 
 @pytest.mark.parametrize("shift, jumps", [(90.0, False), (340.0, False), (426.0, True)])

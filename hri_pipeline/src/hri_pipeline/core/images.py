@@ -440,6 +440,7 @@ class PictureCuts:
         self.jump: Optional[Jump] = None
         """Where what the image before has shown is in the last one, None where it is about where it was."""
         self._picture: Optional[np.ndarray] = None
+        self._size: Tuple[int, ...] = ()        # of the image of which it is
         self._no_jump_at = -math.inf    # when one was looked for in vain
         self._last: Optional[np.ndarray] = None
         self._contrast = 0.0        # of the last image that showed something
@@ -472,7 +473,7 @@ class PictureCuts:
             if likeness < _CALM and not 0.0 <= stamp - self._no_jump_at < _NEXT_TRY:
                 self.jump = self._find_jump(bgr, is_cut)
                 self._no_jump_at = stamp if self.jump is None else -math.inf
-            self._picture = picture_of(bgr)
+            self._picture, self._size = picture_of(bgr), bgr.shape
         is_cut = is_cut and self.jump is None
         self._was_empty = False
         self._last, self._contrast, self._flat, self.shown_at = small, contrast, flat, stamp
@@ -496,7 +497,7 @@ class PictureCuts:
     def _find_jump(self, bgr: np.ndarray, is_cut: bool) -> Optional[Jump]:
         """Return the jump to an image (H, W, 3). What is as large as before, and not so far away that it would be a
         cut, is found by its motion, which goes on."""
-        jump = None if self._picture is None else find_jump(self._picture, bgr)
+        jump = None if self._picture is None or self._size != bgr.shape else find_jump(self._picture, bgr)
         return jump if jump is not None and (is_cut or jump.has_grown) else None
 
     def turn(self, rotation: ImageRotation) -> None:
@@ -504,7 +505,9 @@ class PictureCuts:
         if self._last is not None:
             self._last = rotation.image(self._last)
             self._flat = _flat_rows(self._last)
-        self._picture = None if self._picture is None else rotation.image(self._picture)
+        if self._picture is not None:
+            self._picture = rotation.image(self._picture)
+            self._size = self._size[1::-1] + self._size[2:] if rotation.quarters % 2 else self._size
 
     def reset(self) -> None:
         """Forget the last image."""

@@ -89,6 +89,11 @@ def association_cost(track: BodyTrack, detection: PoseDetection, stamp: float, f
     return min(cost, MAX_COST - 1.0) if face is not None else cost
 
 
+def fits(track: BodyTrack, detection: PoseDetection, stamp: float, face: Optional[FaceBox]) -> bool:
+    """Tell whether `detection` may be `track` at `stamp` (s), whose own face in this image is `face`."""
+    return association_cost(track, detection, stamp, face, False) <= MAX_COST
+
+
 def _return_distance(track: BodyTrack, detection: PoseDetection, stamp: float) -> float:
     """How far a detection is from where a hidden body would be, or from where it was last seen, whichever is nearer,
     and from its size, in standard deviations."""

@@ -451,6 +451,8 @@ class BodyTrack:
     def cut_off(self, stamp: float) -> None:
         """Note that the image shows something else than the one before: the body is neither there nor hidden, until
         somebody with its clothes is; its face was that of the picture before."""
+        if self.darkened:       # who was waited for in the dark is not waited for in another picture
+            self.life.last_seen = self.stamp
         self.cut, self.darkened = True, False
         self.face_id = None
         self.missed(stamp)

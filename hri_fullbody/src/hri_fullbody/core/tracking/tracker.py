@@ -26,11 +26,11 @@ from hri_fullbody.core.detection.pose_estimator import (
 from hri_fullbody.core.detection.windows import FACE_WINDOW_SIZES, FaceBox, Window, head_box, window_from_face
 from hri_fullbody.core.tracking.association import (
     MAX_COST,
-    association_cost,
     confirm_by_boxes,
     cost_matrix,
     drop_unconfirmed,
     end_rivalries,
+    fits,
     judge_mistaken,
     link_faces,
     nearest_face,
@@ -339,7 +339,7 @@ class BodyTracker:
         detection = self._make_detection(image,
                                          self._infer(image, track.window(face, stamp), track, face, faces, stamp),
                                          track, stamp)
-        if face is None or (detection is not None and _fits(track, detection, stamp, face)):
+        if face is None or (detection is not None and fits(track, detection, stamp, face)):
             return detection
         for attempt in range(len(FACE_WINDOW_SIZES)):
             if self._retries <= 0:
@@ -356,7 +356,7 @@ class BodyTracker:
         side = track.next_anchor(attempt)
         estimate = self._infer(image, window_from_face(face, side), track, face, faces, stamp)
         detection = self._make_detection(image, estimate, track, stamp)
-        if detection is None or not _fits(track, detection, stamp, face):
+        if detection is None or not fits(track, detection, stamp, face):
             return None
         track.hold_anchor(side, stamp)
         return detection
@@ -595,7 +595,3 @@ class BodyTracker:
 
 def _at_one_place(a: PoseEstimate, b: PoseEstimate) -> bool:
     return max(inside(a.box, b.box), inside(b.box, a.box)) > _ONE_PLACE
-
-
-def _fits(track: BodyTrack, detection: PoseDetection, stamp: float, face: Optional[FaceBox]) -> bool:
-    return association_cost(track, detection, stamp, face, False) <= MAX_COST

@@ -199,8 +199,9 @@ class FaceTrackingPipeline:
         expected = self._tracker.expected(stamp)
         self._mesh_scheduler.share_among(self._mesh.threads, together=self._mesh.together_on_card(len(expected)))
         chosen = set(self._mesh_scheduler.choose(self._requests(expected, stamp), stamp))
-        if cut:
+        if cut or self._cuts.jump is not None:      # nobody is told without a look
             chosen = {track.id for track in expected}
+        if cut:
             self._verifier.reset()
             self._search_anew(stamp)
         skipped = {track.id for track in expected} - chosen
