@@ -78,6 +78,7 @@ OTHERS = {
     "a turn": (room(1), moved(room(1), 1.08, (-300.0, -20.0))), "another size": (room(1), room(1)[::2, ::2]),
     "a fast turn": (turned(room(1), 5.0), turned(room(1), 25.0)),
     "a fast turn back": (turned(room(2), 18.0), turned(room(2), 0.0)),
+    "a fast turn that is no larger": (turned(room(3), 0.0), turned(room(3), 18.0)),
     "somebody comes near": (visitor(520), visitor(640)),
     "to black": (room(1), BLACK), "from black": (BLACK, room(1))}
 
