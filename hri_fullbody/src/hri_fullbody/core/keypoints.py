@@ -137,9 +137,16 @@ class Jitter:
     second difference of the key points over time tells, to which people's own motion adds little from 10 looks a second
     on; below, what is usual of it is taken off. What all points do together tells as much as the rest, but is left out
     while the camera turns or shakes.
+
+    Attributes
+    ----------
+    reliability : (18,) array
+        Share of the key points that are right within a quarter of the trunk where they are seen; 1 while nothing is
+        known.
     """
 
     def __init__(self) -> None:
+        self.reliability = np.ones(18)
         self._looks = 0
         self._mean_log = 0.0
         self.reset()
@@ -179,14 +186,7 @@ class Jitter:
         jitter = math.sqrt(max(seen * seen - moved * moved, 0.0)) / errors
         self._looks += 1
         self._mean_log += (math.log(jitter + _LEAST_JITTER) - self._mean_log) / min(self._looks, _JITTER_LOOKS)
-
-    @property
-    def reliability(self) -> np.ndarray:
-        """Share (18,) of the key points that are right within a quarter of the trunk where they are seen; 1 while
-        nothing is known."""
-        if not self._looks:
-            return np.ones(18)
-        return 1.0 / (1.0 + (math.exp(self._mean_log) / _HALF_RIGHT) ** _DECLINE)
+        self.reliability = 1.0 / (1.0 + (math.exp(self._mean_log) / _HALF_RIGHT) ** _DECLINE)
 
 
 def _trunk(points: np.ndarray) -> float:

@@ -58,8 +58,9 @@ Locate = Callable[[PoseEstimate], Optional[np.ndarray]]
 IsHuman = Callable[[np.ndarray, np.ndarray], bool]
 
 _SECOND_OFFSET, _SECOND_SHARE = 0.12, 0.75
-_OCCLUDED_SHARE, _DESCRIBE_S = 0.15, 0.4
+_OCCLUDED_SHARE = 0.15
 _ONE_PLACE = 0.5        # of the smaller box of two bodies of which one began where the other was hidden
+_DESCRIBE_S = 0.4
 # Sizes of the mirrored windows, in that of its own, in which a body must be seen of which the detector is unsure: of 37
 # in photographs of people that were cut, covered, darkened or shrunk 35 are, of 11 in a flag none.
 _MIRRORED_WINDOWS = (1.0, 0.85, 1.18)
