@@ -9,6 +9,7 @@ from hri_pipeline.core.faces.crops import (
     MAX_SIZE,
     DarkGlasses,
     aligned_crop,
+    behind_dark_glasses,
     box_crop,
     burnt_part,
     crop_quality,
@@ -200,3 +201,20 @@ def test_dark_glasses_are_off_when_two_looks_from_the_front_show_none():
 def test_one_missed_look_does_not_take_dark_glasses_off():
     glasses, dark, bare = DarkGlasses(), bright_face(15), bright_face(150)
     assert all(glasses.update(*picture, turned(0), 0.5 * number) for number, picture in enumerate((dark, bare) * 4))
+
+
+def coloured_face(lenses, skin=(120, 150, 190), below=True):
+    """A crop (150, 150, 3) of bare skin with lenses, or with make-up that ends above what is below the eyes."""
+    crop = np.empty((150, 150, 3), np.uint8)
+    crop[:] = skin
+    for x in (46, 104):
+        cv2.ellipse(crop, (x, 47), (22, 15 if below else 5), 0, 0, 360, lenses, -1)
+    return crop
+
+
+def test_lenses_that_mirror_in_a_colour_are_found_in_light_of_any_colour_and_make_up_is_none():
+    assert behind_dark_glasses(coloured_face((235, 190, 140))) and behind_dark_glasses(coloured_face((60, 140, 240)))
+    assert not behind_dark_glasses(coloured_face((235, 190, 140), below=False))
+    assert not behind_dark_glasses(coloured_face((96, 120, 152))), "the shade of skin"
+    for skin in ((190, 150, 120), (60, 70, 200), (0, 0, 0)):
+        assert not behind_dark_glasses(coloured_face(skin, skin)), "in light of a colour, and without any"

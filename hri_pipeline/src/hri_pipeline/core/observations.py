@@ -51,7 +51,8 @@ class FaceObservation:
     gaze: None when it was not estimated. action_units: core.faces.action_units.ActionUnits; expression:
     core.faces.expression.ExpressionEstimate; soft_biometrics: SoftBiometrics; each None when not estimated in this
     image. head_scale: size of this head over the canonical one, and its standard deviation; None without a pose.
-    dark_glasses: whether they hide its eyes, as far as that is noticed. measured: False when the face was predicted and not measured in this image, because there were too many faces.
+    measured: False when the face was predicted and not measured in this image, because there were too many faces.
+    dark_glasses: dark or mirrored lenses hide its eyes, as far as that is noticed.
     """
 
     id: str
@@ -66,8 +67,8 @@ class FaceObservation:
     soft_biometrics: Optional[SoftBiometrics] = None
     head_scale: Optional[float] = None
     head_scale_sd: Optional[float] = None
-    dark_glasses: bool = False
     measured: bool = True
+    dark_glasses: bool = False
 
 
 @dataclass(frozen=True)

@@ -68,8 +68,8 @@ DARK_LENS, _DARK_FOREHEAD = 0.33, 0.5
 """Light of the lighter parts of an eye and its lids, over that of the second lightest of forehead, nose and cheeks,
 below which it is behind dark glasses (else .5 and more); and the same bound against the forehead."""
 LENS_COLOUR = 0.14
-"""Difference of the colour (parts of blue, green and red of their sum, the differences added) from that of the skin from
-which a lens mirrors. Of 148 bare faces .11 at most."""
+"""Difference of a lens's colour (parts of blue, green and red of their sum, the differences added) from that of the
+skin, from which it mirrors. Of 148 bare faces .11 at most."""
 _LENS_PART, _LENS_CROP = 0.75, 50
 """Which part of an eye and its lids is darker than what is taken of it; and the size (px) of the crop."""
 _GLASSES_PERIOD, _GLASSES_OFF = 0.5, 2
