@@ -135,11 +135,11 @@ class GazeEstimator:
         places = np.stack([pose.translation for pose in poses])
         measures = self._eyes.measure(stack, rotations, places, camera)
         widths = stack[..., 0].max(axis=1) - stack[..., 0].min(axis=1)
+        covered = np.zeros(len(stack), dtype=bool) if hidden is None else np.asarray(hidden, dtype=bool)
         if callable(shapes):
             openness = np.where(measures.visibility > 0.3, measures.openness, np.inf).min(axis=1)
-            shapes = shapes(~((openness > _WIDE_OPEN) & np.isfinite(openness)))
-        if hidden is not None:
-            widths = np.where(hidden, 0.0, widths)
+            shapes = shapes(~(covered | ((openness > _WIDE_OPEN) & np.isfinite(openness))))
+        widths = np.where(covered, 0.0, widths)
         lids = _lids(measures, widths, shapes)
         directions, iris_weights = _directions(measures, rotations, _length(places), widths, shapes)
         gazes = []
