@@ -79,9 +79,6 @@ def templates_of(paths: Sequence[Path], model: str = "") -> PhotographTemplates:
             if embedder.covered([crop], template)[0]:
                 left_out.append("{}: {}".format(path.name, COVERED))
                 continue
-            if embedder.behind_dark_glasses([crop])[0]:
-                left_out.append("{}: {}".format(path.name, DARK_GLASSES))
-                continue
             templates.append(template[0])
             used.append(path.name)
     finally:
@@ -123,6 +120,8 @@ def _crop(pipeline: FacePipeline, picture: np.ndarray, begin: float) -> Tuple[Op
     crop = recognition.embedder.crop(picture, face.mesh)
     if judge_crop(face.mesh, face.pose, crop).template_quality < LEAST_QUALITY:
         return None, "the face is too small, blurred, dark, overexposed or turned away"
+    if face.dark_glasses:
+        return None, DARK_GLASSES
     return crop, ""
 
 
