@@ -245,6 +245,74 @@ def test_everybody_is_found_without_faces_in_slow_images(count, interval):
     assert len(bodies) == count
 
 
+def distances(stage, bodies):
+    """Distances (m) of all bodies, of their models, and of these models' key points."""
+    models = [stage.model(body) for body in bodies]
+    return [place[2] for body, model in zip(bodies, models)
+            for place in (body.pose.translation, model.pose.translation, np.nanmedian(model.points, axis=0))]
+
+
+def zoomed_camera(zoom):
+    return CameraModel.from_fov(1280, 720, 2.0 * math.atan(math.tan(0.5 * 1.05) / zoom))
+
+
+@pytest.mark.parametrize("zoom", [0.5, 1.6])
+def test_by_a_focal_length_that_is_told_anew_bodies_are_elsewhere_at_once(zoom):
+    """They glided there for half a second."""
+    stage, _, _ = make([(400, 400), (800, 380)], pose_rate=5.0)
+    for index in range(30):
+        before = stage.update(IMAGE, CAMERA, index / 20.0)
+    known = distances(stage, before)
+    after = stage.update(IMAGE, zoomed_camera(zoom), 30 / 20.0)
+    assert [body.id for body in after] == [body.id for body in before] and all(body.measured for body in after)
+    assert distances(stage, after) == pytest.approx(zoom * np.array(known), rel=0.03)
+
+
+def test_a_face_that_was_placed_by_another_focal_length_places_no_body():
+    """Faces come from another node, a moment later."""
+    stage, scene, _ = make([(400, 400)])
+    face = face_of(standing_at(400, 400), "f0")
+
+    def placed(stamp, distance):
+        ray = CAMERA.normalise(face.centre[None])[0]
+        return [replace(face, stamp=stamp, pose=Pose(np.eye(3), distance * np.array([*ray, 1.0])))]
+
+    for index in range(30):
+        before = stage.update(IMAGE, CAMERA, index / 20.0, placed(index / 20.0, 5.6))
+    after = stage.update(IMAGE, zoomed_camera(1.6), 30 / 20.0, placed(29 / 20.0, 5.6))
+    assert after[0].pose.translation[2] == pytest.approx(1.6 * before[0].pose.translation[2], rel=0.03)
+
+
+@pytest.mark.parametrize("follows", [False, True])
+def test_in_a_picture_that_has_jumped_bodies_are_elsewhere_at_once(follows):
+    """follows: the calibration tells of the zoom, in the same image."""
+    stage, scene, _ = make([(500, 400), (700, 400)])
+    stage._ground.reset = lambda: grounds.append(1)
+    grounds, image = [], corners()
+    for index in range(30):
+        before = stage.update(image, CAMERA, index / 20.0)
+    known = distances(stage, before)
+    zoom, shift = 1.5, np.array([-320.0, -180.0])
+    scene.people = [tuple(zoom * np.array(place) + shift) for place in scene.people]
+    scene.scale *= zoom
+    jumped = cv2.warpAffine(image, np.column_stack([zoom * np.eye(2), shift]), (1280, 720))
+    after = stage.update(jumped, zoomed_camera(zoom) if follows else CAMERA, 30 / 20.0)
+    assert [body.id for body in after] == [body.id for body in before]
+    assert distances(stage, after) == pytest.approx(np.array(known) / (1.0 if follows else zoom), rel=0.03)
+    for body, place in zip(after, scene.people):
+        assert body.keypoints[0, :2] == pytest.approx(standing_at(*place, scene.scale).nose, abs=0.5)
+    assert len(grounds) == (0 if follows else 1)
+
+
+def corners():
+    """A picture of many rectangles, whose corners tell of a zoom."""
+    random = np.random.default_rng(3)
+    image = np.full((720, 1280, 3), 110, np.uint8)
+    for x, y, w, h in zip(*random.integers(((0,), (0,), (12,), (12,)), ((1280,), (720,), (120,), (120,)), (4, 400))):
+        image[y:y + h, x:x + w] = random.integers(0, 255, 3)
+    return image
+
+
 @pytest.mark.parametrize("with_face", [False, True])
 def test_bodies_wait_for_their_faces_only_where_faces_are_looked_for(with_face):
     stage, _, _ = make([(400, 400), (800, 380)])

@@ -118,6 +118,7 @@ class BodyPipeline:
         self._reidentifier = BodyReidentifier(settings.body_memory)
         self._camera_pose: Optional[Pose] = None
         self._camera_motion = CameraMotion()
+        self._camera: Optional[CameraModel] = None      # of the last image
         try:
             self._modeller = BodyModeller.from_parameters(settings)
         except (ValueError, OSError) as error:
@@ -137,7 +138,7 @@ class BodyPipeline:
         self.modelled: List[ModelledBody] = []
         """Models of the bodies that were detected in the last image."""
         self._orientation = ImageOrientation()
-        self._last_stamp = self._last_detection = -math.inf
+        self._last_stamp = self._last_detection = self._anew_at = -math.inf
         self._detected_before = self._faces_come = False
         self.times = StageTimes()
 
@@ -181,8 +182,15 @@ class BodyPipeline:
         height, width = bgr.shape[:2]
         camera = camera.resized(width, height)
         faces = self._compensate(bgr, camera, stamp, faces)
+        before, self._camera = self._camera or camera, camera
+        if camera.is_told_anew(before):
+            for track in self._tracker.tracks:
+                track.motion.forget_distance()
+                self._tracker.schedule.renew(track.id)
         with self._begin_search(bgr, stamp) as search:
             self._follow_known(bgr, camera, stamp, faces, slow)
+            self._begin_places_anew(before, camera, stamp)
+            faces = [face for face in faces if face.stamp is None or face.stamp >= self._anew_at]
             # The next image is far away, or somebody would be told of whom the detector was not asked yet.
             first = slow or any(track.box_confirmed is None for track in self._tracker.published(stamp))
             if first:
@@ -206,6 +214,22 @@ class BodyPipeline:
         if motion.moves:
             self._tracker.carry(lambda points: motion.moved(points, motion.step()))
         return [motion.face_now(face) for face in faces]
+
+    def _begin_places_anew(self, before: CameraModel, camera: CameraModel, stamp: float) -> None:
+        """Let all bodies go at once to where they are now: in a picture that has jumped at `stamp` (s), or by a new
+        calibration. Faces of before are elsewhere."""
+        jump = self._tracker.jump
+        if jump is None and not camera.is_told_anew(before):
+            return
+        self._anew_at = stamp
+        for localizer in self._localizers.values():
+            localizer.forget_places(jump)
+        self._modeller.forget_places()
+        for recognizer in self._recognizers.values():
+            recognizer.forget_places()
+        self._pointers.clear()
+        if camera.is_told_anew(before, 1.0 if jump is None else jump.scale):    # not of a zoom that it has followed
+            self._ground.reset()
 
     def _observe_all(self, camera: CameraModel, stamp: float, faces: Sequence[FaceBox],
                      context: SceneContext) -> List[BodyObservation]:
@@ -482,6 +506,7 @@ class BodyPipeline:
         """Take note that the images are turned by `rotation` from now on, against those before; the bodies stay."""
         self._tracker.turn(rotation)
         self._camera_motion.reset()
+        self._camera = None
         for localizer in self._localizers.values():
             localizer.turn(rotation)
         self._ground.reset()
@@ -499,6 +524,7 @@ class BodyPipeline:
         """Forget all bodies, for example because time went back."""
         self._tracker.reset()
         self._camera_motion.reset()
+        self._camera = None
         self._reidentifier.reset()
         self._localizers.clear()
         self._ground.reset()
@@ -506,7 +532,7 @@ class BodyPipeline:
         self.pointing = {}
         self._modeller.reset()
         self._forget_all_but([])
-        self._last_stamp = self._last_detection = -math.inf
+        self._last_stamp = self._last_detection = self._anew_at = -math.inf
         self._detected_before = False
 
     def close(self) -> None:

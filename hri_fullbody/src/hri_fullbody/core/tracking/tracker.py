@@ -116,6 +116,8 @@ class BodyTracker:
         self.tracks: List[BodyTrack] = []
         self.windows = 0
         """Inferences since the last `follow`."""
+        self.jump: Optional[Jump] = None
+        """How the picture has jumped in the last image, with all that is known."""
         self.limit(birth_delay, death_time, min_score)
 
     def limit(self, birth_delay: float, death_time: float, min_score: float) -> None:
@@ -148,7 +150,7 @@ class BodyTracker:
         """Move all bodies with a picture that has jumped, and look at each in the image of `stamp` (s)."""
         self._candidates.clear()
         self._refused.clear()
-        self._jumped_at = stamp
+        self._jumped_at, self.jump = stamp, jump
         for track in self.tracks:
             track.jump(jump)
             self.schedule.renew(track.id)
@@ -185,7 +187,7 @@ class BodyTracker:
         for_new: windows of the schedule's budget that are left for new bodies.
         """
         self._locate = locate or (lambda estimate: None)
-        self.windows = 0
+        self.windows, self.jump = 0, None
         if self._cuts.update(image, stamp):
             for track in self.tracks:
                 track.cut_off(stamp)
