@@ -7,6 +7,7 @@ metric localization, kinematic model (`BodyModeller`), behaviour.
 from __future__ import annotations
 
 import math
+import time
 from collections import deque
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -55,6 +56,9 @@ from hri_pipeline.core.timing import StageTimes
 
 _SEEN = 0.5
 _SLOW_NEW = 2       # in slow images two windows of the budget are for those who wait
+# Images that come more slowly than every so many s have more windows for new bodies, in proportion, until this part of
+# the time to the next image is used.
+_CALM_STEP, _OF_STEP = 0.1, 0.5
 _HIDDEN_SHARE, _HIDDEN_NEW = 0.3, 2     # of the detector's period, and windows for new ones, while somebody is hidden
 # Boxes of the person detector from this part of the score that starts a body confirm that somebody is there.
 _FAINT = 0.5
@@ -172,10 +176,12 @@ class BodyPipeline:
         seen : called with the bodies, before new and lost ones are searched for, which come in the next image; after it
             where images are slow, or the detector must be asked about one of them.
         """
+        began = time.monotonic()
         self._camera_pose = camera_pose
         if stamp < self._last_stamp:
             self.reset()
-        slow = SLOW_S < stamp - self._last_stamp < math.inf
+        step = stamp - self._last_stamp
+        slow = SLOW_S < step < math.inf
         self._last_stamp = stamp
         self._faces_come = faces is not None and (self._faces_come or any(face.pose is not None for face in faces))
         faces = faces or ()
@@ -203,6 +209,8 @@ class BodyPipeline:
             finally:        # an error there costs nobody the search
                 if not first:
                     self._search_new(bgr, stamp, faces, slow, search)
+        if self._tracker.schedule.is_live and _CALM_STEP < step < math.inf:
+            self._search_on(bgr, stamp, faces, step / _CALM_STEP - 1.0, began + _OF_STEP * step)
         return bodies
 
     def _compensate(self, bgr: np.ndarray, camera: CameraModel, stamp: float,
@@ -222,13 +230,14 @@ class BodyPipeline:
         if jump is None and not camera.is_told_anew(before):
             return
         self._anew_at = stamp
+        zoom = 1.0 if jump is None else jump.scale
         for localizer in self._localizers.values():
-            localizer.forget_places(jump)
+            localizer.forget_places(float(camera.matrix[0, 0] / before.matrix[0, 0]) / zoom, jump)
         self._modeller.forget_places()
         for recognizer in self._recognizers.values():
             recognizer.forget_places()
         self._pointers.clear()
-        if camera.is_told_anew(before, 1.0 if jump is None else jump.scale):    # not of a zoom that it has followed
+        if camera.is_told_anew(before, zoom):       # of a zoom that the calibration has followed the floor stays
             self._ground.reset()
 
     def _observe_all(self, camera: CameraModel, stamp: float, faces: Sequence[FaceBox],
@@ -313,6 +322,17 @@ class BodyPipeline:
             windows = min(windows, max(least, budget - self._tracker.windows))
         with self.times("new bodies"):
             self._tracker.try_new(bgr, stamp, faces, windows)
+
+    def _search_on(self, bgr: np.ndarray, stamp: float, faces: Sequence[FaceBox], times: float, until: float) -> None:
+        """Use the time up to `until` (s, monotonic clock) for new bodies, after the known ones are told.
+
+        A few windows in each image make a group wait for many images, which may be seconds. times: as often as an image
+        has windows for new bodies.
+        """
+        with self.times("new bodies"):
+            for _ in range(int(times * self._settings.new_windows_per_image)):
+                if time.monotonic() > until or not self._tracker.try_new(bgr, stamp, faces, 1):
+                    return
 
     def _reidentify(self, stamp: float) -> None:
         """Compare new bodies with those lost in the last seconds."""

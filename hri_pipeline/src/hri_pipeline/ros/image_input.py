@@ -482,8 +482,8 @@ class CameraInfoInput:
         elif (before.width, before.height) == (now.width, now.height) and now.is_told_anew(before) and (
                 time.monotonic() >= self._zoom_said_at):
             self._zoom_said_at = time.monotonic() + LOG_PERIOD_S
-            rospy.loginfo("%s: the focal length is %.0f px from now on, before %.0f px: unless the camera has zoomed as "
-                          "much, people are at other distances than before", self.topic, focal, was)
+            rospy.loginfo("%s: the focal length is %.0f px from now on, before %.0f px: unless the camera has zoomed "
+                          "as much, people are at other distances than before", self.topic, focal, was)
 
     def values(self) -> Dict[str, object]:
         """Return what diagnostics tell about the camera."""

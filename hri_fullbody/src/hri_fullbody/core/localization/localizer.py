@@ -327,15 +327,17 @@ class BodyLocalizer:
         self._face = None if self._face is None else rotation.vectors(self._face)
         self._still = None
 
-    def forget_places(self, jump: Optional[Jump] = None) -> None:
+    def forget_places(self, farther: float, jump: Optional[Jump] = None) -> None:
         """Let the body be where it is seen next, without a way from where it was: the picture has made this `jump`, or
-        the camera's calibration is told anew. Its size stays."""
+        the camera's calibration is told anew. Until then it is so many times `farther` away. Its size stays."""
         self._image.reset()
         self._jitter.reset()
         self._distance.reset()
         self._cut_range, self._face, self._still = CutRange(), None, None
         if jump is not None and self._pixels is not None:
             self._pixels = jump.pixels(self._pixels)
+        if self._points is not None:
+            self._points = self._points + (0.0, 0.0, (farther - 1.0) * float(self._points[TRUNK, 2].mean()))
 
     def measures(self, track: BodyTrack, stamp: float) -> bool:
         """Tell whether `observe` takes up a detection at `stamp` (s): else it needs no scene."""
