@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from synthetic_people import Scene, face_of, standing_at
+from synthetic_people import Scene, face_of, standing_at, textured
 
 from hri_fullbody.core import pipeline
 from hri_fullbody.core.detection.pose_estimator import pose_model_path
@@ -312,7 +312,7 @@ def test_in_a_picture_that_has_jumped_bodies_are_elsewhere_at_once(follows):
     """follows: the calibration tells of the zoom, in the same image."""
     stage, scene, _ = make([(500, 400), (700, 400)])
     stage._ground.reset = lambda: grounds.append(1)
-    grounds, image = [], corners()
+    grounds, image = [], textured()
     for index in range(30):
         before = stage.update(image, CAMERA, index / 20.0)
     known = distances(stage, before)
@@ -326,15 +326,6 @@ def test_in_a_picture_that_has_jumped_bodies_are_elsewhere_at_once(follows):
     for body, place in zip(after, scene.people):
         assert body.keypoints[0, :2] == pytest.approx(standing_at(*place, scene.scale).nose, abs=0.5)
     assert len(grounds) == (0 if follows else 1)
-
-
-def corners():
-    """A picture of many rectangles, whose corners tell of a zoom."""
-    random = np.random.default_rng(3)
-    image = np.full((720, 1280, 3), 110, np.uint8)
-    for x, y, w, h in zip(*random.integers(((0,), (0,), (12,), (12,)), ((1280,), (720,), (120,), (120,)), (4, 400))):
-        image[y:y + h, x:x + w] = random.integers(0, 255, 3)
-    return image
 
 
 @pytest.mark.parametrize("with_face", [False, True])
