@@ -42,6 +42,15 @@ def face_of(estimate: PoseEstimate, face_id: str) -> FaceBox:
     return FaceBox(face_id, np.array([x - half, y - half, x + half, y + half]))
 
 
+def textured() -> np.ndarray:
+    """A picture (720, 1280, 3) of many rectangles, whose corners tell of a zoom."""
+    random = np.random.default_rng(3)
+    image = np.full((720, 1280, 3), 110, np.uint8)
+    for x, y, w, h in zip(*random.integers(((0,), (0,), (12,), (12,)), ((1280,), (720,), (120,), (120,)), (4, 400))):
+        image[y:y + h, x:x + w] = random.integers(0, 255, 3)
+    return image
+
+
 class Scene:
     """A pose estimator that gives the person nearest to the middle of the window whose head is not hidden."""
 

@@ -8,8 +8,9 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from synthetic_people import Scene, face_of, standing_at
+from synthetic_people import Scene, face_of, standing_at, textured
 
+from hri_fullbody.core import pipeline
 from hri_fullbody.core.detection.pose_estimator import pose_model_path
 from hri_fullbody.core.detection.windows import FaceBox, face_boxes
 from hri_fullbody.core.parameters import BODIES, VISION
@@ -235,6 +236,30 @@ def test_ten_people_in_slow_images_are_found_soon_and_stay():
     assert all_there is not None and all_there <= 7.0
 
 
+@pytest.mark.parametrize("rate, cost, within", [
+    (2.0, 0.015, 1.5), (3.0, 0.015, 1.4), (5.0, 0.015, 1.4), (2.0, 0.2, None)])
+def test_ten_people_before_a_slow_camera_are_found_soon_where_the_machine_has_time(monkeypatch, rate, cost, within):
+    """As many windows in each image as of a quick camera took 6 s for the last at 2 Hz. cost: of a window, s."""
+    people = [(80.0 + 120.0 * index, 400.0) for index in range(10)]
+    stage, scene, _ = make(people, cpu_share=0.0)
+    monkeypatch.setattr(pipeline, "time", SimpleNamespace(monotonic=lambda: cost * len(scene.windows)))
+    faces = [face_of(standing_at(*place), "f{}".format(index)) for index, place in enumerate(people)]
+    all_there, most, told = math.inf, 0, []
+    for index in range(40):
+        before = len(scene.windows)
+        stage.note_timing(0.01, cost * most)
+        stage.update(IMAGE, CAMERA, index / rate, faces, seen=lambda bodies: told.append(len(scene.windows)))
+        told[-1] -= before
+        most = max(most, len(scene.windows) - before)
+        if len(stage.tracked_ids) == 10:
+            all_there = min(all_there, index / rate)
+    if within is None:      # no time is left: as many windows as ever
+        assert most <= 6
+    else:
+        assert all_there <= within and most * cost <= 0.6 / rate
+        assert max(told) <= 10, "who is known does not wait for it"
+
+
 @pytest.mark.parametrize("interval", [0.3, 1.0, 1.5])
 @pytest.mark.parametrize("count", [8, 10])
 def test_everybody_is_found_without_faces_in_slow_images(count, interval):
@@ -243,6 +268,64 @@ def test_everybody_is_found_without_faces_in_slow_images(count, interval):
     for index in range(25):
         bodies = stage.update(IMAGE, CAMERA, index * interval)
     assert len(bodies) == count
+
+
+def distances(stage, bodies):
+    """Distances (m) of all bodies, and of their models."""
+    return [place[2] for body in bodies for place in (body.pose.translation, stage.model(body).pose.translation)]
+
+
+def zoomed_camera(zoom):
+    return CameraModel.from_fov(1280, 720, 2.0 * math.atan(math.tan(0.5 * 1.05) / zoom))
+
+
+@pytest.mark.parametrize("zoom", [0.5, 1.6])
+def test_by_a_focal_length_that_is_told_anew_bodies_are_elsewhere_at_once(zoom):
+    """They glided there for half a second."""
+    stage, _, _ = make([(400, 400), (640, 390), (800, 380)], pose_rate=5.0, pose_budget=2)
+    for index in range(30):
+        before = stage.update(IMAGE, CAMERA, index / 20.0)
+    known = distances(stage, before)
+    after = stage.update(IMAGE, zoomed_camera(zoom), 30 / 20.0)
+    assert [body.id for body in after] == [body.id for body in before]
+    assert sum(body.measured for body in after) == 2, "as many as the budget allows"
+    assert distances(stage, after) == pytest.approx(zoom * np.array(known), rel=0.03)
+
+
+def test_a_face_that_was_placed_by_another_focal_length_places_no_body():
+    """Faces come from another node, a moment later."""
+    stage, scene, _ = make([(400, 400)])
+    face = face_of(standing_at(400, 400), "f0")
+
+    def placed(stamp, distance):
+        ray = CAMERA.normalise(face.centre[None])[0]
+        return [replace(face, stamp=stamp, pose=Pose(np.eye(3), distance * np.array([*ray, 1.0])))]
+
+    for index in range(30):
+        before = stage.update(IMAGE, CAMERA, index / 20.0, placed(index / 20.0, 5.6))
+    after = stage.update(IMAGE, zoomed_camera(1.6), 30 / 20.0, placed(29 / 20.0, 5.6))
+    assert after[0].pose.translation[2] == pytest.approx(1.6 * before[0].pose.translation[2], rel=0.03)
+
+
+@pytest.mark.parametrize("follows", [False, True])
+def test_in_a_picture_that_has_jumped_bodies_are_elsewhere_at_once(follows):
+    """follows: the calibration tells of the zoom, in the same image."""
+    stage, scene, _ = make([(500, 400), (700, 400)])
+    stage._ground.reset = lambda: grounds.append(1)
+    grounds, image = [], textured()
+    for index in range(30):
+        before = stage.update(image, CAMERA, index / 20.0)
+    known = distances(stage, before)
+    zoom, shift = 1.5, np.array([-320.0, -180.0])
+    scene.people = [tuple(zoom * np.array(place) + shift) for place in scene.people]
+    scene.scale *= zoom
+    jumped = cv2.warpAffine(image, np.column_stack([zoom * np.eye(2), shift]), (1280, 720))
+    after = stage.update(jumped, zoomed_camera(zoom) if follows else CAMERA, 30 / 20.0)
+    assert [body.id for body in after] == [body.id for body in before]
+    assert distances(stage, after) == pytest.approx(np.array(known) / (1.0 if follows else zoom), rel=0.03)
+    for body, place in zip(after, scene.people):
+        assert body.keypoints[0, :2] == pytest.approx(standing_at(*place, scene.scale).nose, abs=0.5)
+    assert len(grounds) == (0 if follows else 1)
 
 
 @pytest.mark.parametrize("with_face", [False, True])

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from synthetic_people import Scene, Walkers, face_of, standing_at
+from synthetic_people import Scene, Walkers, face_of, standing_at, textured
 
 from hri_fullbody.core.tracking.tracker import BodyTracker
 from hri_pipeline.core.error_log import ItemGuard
@@ -83,15 +83,6 @@ def test_nobody_is_waited_for_behind_a_cut_of_the_picture():
     scene.people = []
     run(tracker, stamp, 12, image=NOISE)
     assert tracker.tracks == []
-
-
-def textured():
-    """A picture of many rectangles, whose corners tell of a zoom."""
-    random = np.random.default_rng(3)
-    image = np.full((720, 1280, 3), 110, np.uint8)
-    for x, y, w, h in zip(*random.integers(((0,), (0,), (12,), (12,)), ((1280,), (720,), (120,), (120,)), (4, 400))):
-        image[y:y + h, x:x + w] = random.integers(0, 255, 3)
-    return image
 
 
 @pytest.mark.parametrize("late_faces", [False, True])

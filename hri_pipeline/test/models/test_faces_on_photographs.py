@@ -1,5 +1,6 @@
 """The face stage on photographs of groups: counts, identities, poses. Needs the models and their pictures."""
 
+import math
 import shutil
 import threading
 from dataclasses import replace
@@ -154,6 +155,19 @@ def test_after_a_zoom_nobody_is_told_without_a_look():
     seen = watch(stage, [image] * 20 + [zoomed])
     assert len(seen[-2]) == 3 and not all(face.measured for face in seen[-2])
     assert ids(seen[-1]) == ids(seen[-2]) and all(face.measured for face in seen[-1])
+
+
+def test_by_a_focal_length_that_is_told_anew_every_face_is_elsewhere_at_once():
+    """Faces glided there, and who was not looked at waited for his turn."""
+    stage = FacePipeline(FACES.resolve({"face_mesh_rate": 2.0, "face_budget": 1000.0, "cpu_share": 0.0}))
+    image = cv2.resize(photograph("sample1"), (960, 640), interpolation=cv2.INTER_AREA)
+    before = watch(stage, [image] * 20)[-1]
+    camera = CameraModel.from_fov(960, 640, 2.0 * math.atan(math.tan(0.5 * HFOV) / 1.8))
+    after = stage.update(image, camera, 1000.0 + 20 * STEP)
+    assert len(before) == 3 and ids(after) == ids(before)
+    for old, new in zip(before, after):
+        assert new.measured and np.linalg.norm(new.pose.translation) == pytest.approx(
+            1.8 * np.linalg.norm(old.pose.translation), rel=0.06)
 
 
 @pytest.mark.parametrize("patience", [0.05, 1.0])

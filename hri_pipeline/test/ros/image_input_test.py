@@ -328,6 +328,25 @@ class ImageInputTest(InputCase):
         wait_for(lambda: sum(message.K[0] == 300.0 for message in heard) > 5, 20, "the other one goes on")
         self.assertEqual({focal() for _ in range(5)}, {100.0})
 
+    def test_an_image_has_the_camera_info_of_its_own_time_and_a_new_focal_length_is_told_once(self):
+        """The newest one is of a later image where a machine is busy: in a zoom all distances were wrong."""
+        image_input, start = self.image_input(), rospy.get_time()
+        with self.assertLogs("rosout", "INFO") as log:
+            for number, focal in enumerate((100.0, 120.0, 150.0)):
+                told = info([focal, 0, 32, 0, focal, 24, 0, 0, 1])
+                told.header = make_header(start + 0.1 * number, "camera_optical")
+                self.calibrate(image_input, told)
+            seen = []
+            for number in range(3):
+                self.send(image_input, picture(start + 0.1 * number + 0.01))
+                seen.append(image_input.next(5).camera.matrix[0, 0])
+            self.send(image_input, picture(start + 60.0))
+            seen.append(image_input.next(5).camera.matrix[0, 0])
+        self.assertEqual(seen, [100.0, 120.0, 150.0, 150.0])
+        lines = [line for line in log.output if "focal length" in line]
+        self.assertEqual(len(lines), 1, lines)
+        self.assertIn("120 px from now on, before 100 px", lines[0])
+
     def calibrate_nan_safe(self, image_input, message):
         old = image_input._camera.newest
         self.infos.publish(message)

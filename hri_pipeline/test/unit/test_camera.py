@@ -361,3 +361,12 @@ def test_a_view_near_the_edge_shows_what_the_image_does(model, focal, distortion
         inside = ((places >= 0.0) & (places <= (1279, 959))).all(axis=1)
         assert np.abs(crop[..., :2].reshape(-1, 2) - places)[inside].max(initial=0.0) < 0.01 * side, angle
     assert views > 10
+
+
+@pytest.mark.parametrize("focal, centre, zoom, told", [
+    (600.0, 320.0, 1.0, False), (630.0, 325.0, 1.0, False), (700.0, 320.0, 1.0, True), (500.0, 320.0, 1.0, True),
+    (600.0, 380.0, 1.0, True), (1200.0, 320.0, 2.0, False), (600.0, 320.0, 2.0, True)])
+def test_a_calibration_is_told_anew_where_it_puts_things_elsewhere_by_no_zoom(focal, centre, zoom, told):
+    before, now = (CameraModel.from_calibration(640, 480, [f, 0, x, 0, f, 240, 0, 0, 1], [], "plumb_bob", 1.0)
+                   for f, x in ((600.0, 320.0), (focal, centre)))
+    assert now.is_told_anew(before, zoom) == told

@@ -304,3 +304,16 @@ def test_a_face_that_was_not_measured_moves_as_far_as_its_picture_tells(camera):
     moved = before + (after - before)[0]
     last = geometry.observe([TrackedFace("a", moved, np.zeros(4), 1.0, False, True)], camera, 0.1)[0].pose
     assert last.translation - pose.translation == pytest.approx([0.06, 0.0, 0.0], abs=0.004)
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_faces_whose_places_are_forgotten_are_where_they_are_measured_next(measured):
+    geometry, place = FaceGeometry(FACE, NoBlendshapes()), np.array([0.1, 0.1, 1.0])
+    for index in range(20):
+        geometry.observe([TrackedFace("a", seen(looking(0, 0, 0, place), PLAIN), np.zeros(4), 1.0, True, True)], PLAIN,
+                         0.1 * index)
+    geometry.forget_places()
+    mesh = seen(looking(0, 0, 0, place if not measured else 2.0 * place), PLAIN)
+    pose = geometry.observe([TrackedFace("a", mesh, np.zeros(4), 1.0, measured, True)], PLAIN, 2.0)[0].pose
+    assert np.linalg.norm(pose.translation) == pytest.approx((2.0 if measured else 1.0) * np.linalg.norm(place),
+                                                             rel=0.03)

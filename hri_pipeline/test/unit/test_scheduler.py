@@ -384,6 +384,18 @@ def test_with_threads_an_image_gets_as_much_older_as_one_of_them_works():
     assert len(choose(schedule, FACES, 1.04)) == 1
 
 
+@pytest.mark.parametrize("step, rest, looks", [
+    (0.1, 0.02, 3), (0.2, 0.02, 3), (0.3334, 0.02, 5), (0.5, 0.02, 7), (0.5, 0.3, 6), (0.5, 0.45, 3), (0.5, None, 3)])
+def test_slow_images_have_more_looks_where_the_time_between_them_is_not_needed(step, rest, looks):
+    """Three for each image are few at two images a second. rest: s of an image for all else; None: of a recording."""
+    schedule = InferenceScheduler(10.0, most=3, cost=0.015, max_age=0.05, batches=False)
+    for index in range(300):
+        if rest is not None:
+            schedule.note_timing(0.01, rest)
+        chosen = choose(schedule, [str(number) for number in range(12)], step * index)
+    assert len(chosen) == looks
+
+
 def test_threads_that_come_later_count_from_the_next_image_on():
     """As of a network whose card has failed: it runs in the threads of the processor from now on."""
     schedule = InferenceScheduler(0.0, 1.0, cost=0.005, max_age=0.05)

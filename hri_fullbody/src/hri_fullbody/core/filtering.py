@@ -203,6 +203,10 @@ class KeypointFilter:
             setattr(self, name, rotation.vectors(getattr(self, name)))
         self._variance = self._variance @ np.abs(rotation.matrix.T)
 
+    def forget_places(self) -> None:
+        """Let all bodies begin anew where they are seen next; what is known of their noise stays."""
+        self._stamp[:] = np.nan
+
     def retain(self, ids: Sequence[str]) -> None:
         """Forget all bodies but these."""
         wanted = set(ids)

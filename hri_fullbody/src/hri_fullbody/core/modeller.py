@@ -244,6 +244,10 @@ class BodyModeller:
             states = WarmStart.of(list(self._states.values())).turned(rotation).split()
             self._states = dict(zip(self._states, states))
 
+    def forget_places(self) -> None:
+        """Let all bodies be where they are seen next; their dimensions and joints stay."""
+        self._filter.forget_places()
+
     def retain(self, ids: Sequence[str]) -> None:
         """Forget all bodies but these."""
         wanted = set(ids)

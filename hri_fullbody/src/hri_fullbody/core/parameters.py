@@ -29,7 +29,8 @@ class BodyTrackingSettings(PersonDetectorSettings):
     pose_budget: int = parameter(
         3, "Most known bodies per image for the pose network (see `cpu_share`); what is left (one at least, and two in "
         "slow images) goes to new ones. With more people than that the fast, the new, and those who have waited "
-        "longest come first. 0: no limit.", minimum=0, maximum=64, live=True)
+        "longest come first. A camera of less than 5 Hz has more in proportion, where the machine has the time. "
+        "0: no limit.", minimum=0, maximum=64, live=True)
     max_bodies: int = parameter(
         10, "Most bodies tracked at the same time. Each costs 11 to 15 ms of one core `pose_rate` times a second.",
         minimum=1, maximum=64)
@@ -50,7 +51,8 @@ class BodyTrackingSettings(PersonDetectorSettings):
         live=True)
     new_windows_per_image: int = parameter(
         3, "Most windows per image searched for new bodies; 6 to 15 ms each. Larger finds a group sooner, smaller "
-        "keeps the frame rate even.", minimum=1, maximum=64, live=True)
+        "keeps the frame rate even. A camera of less than 10 Hz has more in proportion, after its image is told, where "
+        "the machine has the time.", minimum=1, maximum=64, live=True)
     body_birth_delay: float = parameter(
         0.1, "Time that a body must be seen before it gets topics. Larger keeps out more flickering false bodies.",
         unit="s", minimum=0.0, maximum=10.0, live=True)

@@ -7,6 +7,7 @@ metric localization, kinematic model (`BodyModeller`), behaviour.
 from __future__ import annotations
 
 import math
+import time
 from collections import deque
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -55,6 +56,9 @@ from hri_pipeline.core.timing import StageTimes
 
 _SEEN = 0.5
 _SLOW_NEW = 2       # in slow images two windows of the budget are for those who wait
+# Images that come more slowly than every so many s have more windows for new bodies, in proportion, until this part of
+# the time to the next image is used.
+_CALM_STEP, _OF_STEP = 0.1, 0.5
 _HIDDEN_SHARE, _HIDDEN_NEW = 0.3, 2     # of the detector's period, and windows for new ones, while somebody is hidden
 # Boxes of the person detector from this part of the score that starts a body confirm that somebody is there.
 _FAINT = 0.5
@@ -118,6 +122,7 @@ class BodyPipeline:
         self._reidentifier = BodyReidentifier(settings.body_memory)
         self._camera_pose: Optional[Pose] = None
         self._camera_motion = CameraMotion()
+        self._camera: Optional[CameraModel] = None      # of the last image
         try:
             self._modeller = BodyModeller.from_parameters(settings)
         except (ValueError, OSError) as error:
@@ -137,7 +142,7 @@ class BodyPipeline:
         self.modelled: List[ModelledBody] = []
         """Models of the bodies that were detected in the last image."""
         self._orientation = ImageOrientation()
-        self._last_stamp = self._last_detection = -math.inf
+        self._last_stamp = self._last_detection = self._anew_at = -math.inf
         self._detected_before = self._faces_come = False
         self.times = StageTimes()
 
@@ -171,18 +176,27 @@ class BodyPipeline:
         seen : called with the bodies, before new and lost ones are searched for, which come in the next image; after it
             where images are slow, or the detector must be asked about one of them.
         """
+        began = time.monotonic()
         self._camera_pose = camera_pose
         if stamp < self._last_stamp:
             self.reset()
-        slow = SLOW_S < stamp - self._last_stamp < math.inf
+        step = stamp - self._last_stamp
+        slow = SLOW_S < step < math.inf
         self._last_stamp = stamp
         self._faces_come = faces is not None and (self._faces_come or any(face.pose is not None for face in faces))
         faces = faces or ()
         height, width = bgr.shape[:2]
         camera = camera.resized(width, height)
         faces = self._compensate(bgr, camera, stamp, faces)
+        before, self._camera = self._camera or camera, camera
+        if camera.is_told_anew(before):
+            for track in self._tracker.tracks:
+                track.motion.forget_distance()
+                self._tracker.schedule.renew(track.id)
         with self._begin_search(bgr, stamp) as search:
             self._follow_known(bgr, camera, stamp, faces, slow)
+            self._begin_places_anew(before, camera, stamp)
+            faces = [face for face in faces if face.stamp is None or face.stamp >= self._anew_at]
             # The next image is far away, or somebody would be told of whom the detector was not asked yet.
             first = slow or any(track.box_confirmed is None for track in self._tracker.published(stamp))
             if first:
@@ -195,6 +209,8 @@ class BodyPipeline:
             finally:        # an error there costs nobody the search
                 if not first:
                     self._search_new(bgr, stamp, faces, slow, search)
+        if self._tracker.schedule.is_live and _CALM_STEP < step < math.inf:
+            self._search_on(bgr, stamp, faces, step / _CALM_STEP - 1.0, began + _OF_STEP * step)
         return bodies
 
     def _compensate(self, bgr: np.ndarray, camera: CameraModel, stamp: float,
@@ -206,6 +222,23 @@ class BodyPipeline:
         if motion.moves:
             self._tracker.carry(lambda points: motion.moved(points, motion.step()))
         return [motion.face_now(face) for face in faces]
+
+    def _begin_places_anew(self, before: CameraModel, camera: CameraModel, stamp: float) -> None:
+        """Let all bodies go at once to where they are now: in a picture that has jumped at `stamp` (s), or by a new
+        calibration. Faces of before are elsewhere."""
+        jump = self._tracker.jump
+        if jump is None and not camera.is_told_anew(before):
+            return
+        self._anew_at = stamp
+        zoom = 1.0 if jump is None else jump.scale
+        for localizer in self._localizers.values():
+            localizer.forget_places(float(camera.matrix[0, 0] / before.matrix[0, 0]) / zoom, jump)
+        self._modeller.forget_places()
+        for recognizer in self._recognizers.values():
+            recognizer.forget_places()
+        self._pointers.clear()
+        if camera.is_told_anew(before, zoom):       # of a zoom that the calibration has followed the floor stays
+            self._ground.reset()
 
     def _observe_all(self, camera: CameraModel, stamp: float, faces: Sequence[FaceBox],
                      context: SceneContext) -> List[BodyObservation]:
@@ -289,6 +322,17 @@ class BodyPipeline:
             windows = min(windows, max(least, budget - self._tracker.windows))
         with self.times("new bodies"):
             self._tracker.try_new(bgr, stamp, faces, windows)
+
+    def _search_on(self, bgr: np.ndarray, stamp: float, faces: Sequence[FaceBox], times: float, until: float) -> None:
+        """Use the time up to `until` (s, monotonic clock) for new bodies, after the known ones are told.
+
+        A few windows in each image make a group wait for many images, which may be seconds. times: as often as an image
+        has windows for new bodies.
+        """
+        with self.times("new bodies"):
+            for _ in range(int(times * self._settings.new_windows_per_image)):
+                if time.monotonic() > until or not self._tracker.try_new(bgr, stamp, faces, 1):
+                    return
 
     def _reidentify(self, stamp: float) -> None:
         """Compare new bodies with those lost in the last seconds."""
@@ -482,6 +526,7 @@ class BodyPipeline:
         """Take note that the images are turned by `rotation` from now on, against those before; the bodies stay."""
         self._tracker.turn(rotation)
         self._camera_motion.reset()
+        self._camera = None
         for localizer in self._localizers.values():
             localizer.turn(rotation)
         self._ground.reset()
@@ -499,6 +544,7 @@ class BodyPipeline:
         """Forget all bodies, for example because time went back."""
         self._tracker.reset()
         self._camera_motion.reset()
+        self._camera = None
         self._reidentifier.reset()
         self._localizers.clear()
         self._ground.reset()
@@ -506,7 +552,7 @@ class BodyPipeline:
         self.pointing = {}
         self._modeller.reset()
         self._forget_all_but([])
-        self._last_stamp = self._last_detection = -math.inf
+        self._last_stamp = self._last_detection = self._anew_at = -math.inf
         self._detected_before = False
 
     def close(self) -> None:

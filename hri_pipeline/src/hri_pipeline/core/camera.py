@@ -48,6 +48,7 @@ _RAY_AGAIN = 0.01   # the same for a ray and that of the pixel where it is seen,
 _AHEAD = math.tan(math.radians(6.0))    # up to here an image is stretched by half a hundredth
 _NODES = 0.5 - 0.5 * np.cos(np.pi * (np.arange(5) + 0.5) / 5.0)     # Chebyshev's, of a polynomial of the fourth degree
 _NODE_GRID = np.stack(np.meshgrid(_NODES, _NODES), axis=-1).reshape(-1, 2)
+_TOLD_ANEW, _MOVED_CENTRE = math.log(1.1), 0.05  # logarithm of the focal length; parts of the width
 _LEAST_AHEAD = 0.1      # cosine of the angle from the middle of some points to one that is still told
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
 
@@ -355,6 +356,18 @@ class CameraModel:
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return CameraModel(int(width), int(height), scale @ self.matrix, self.distortion,
                            self.distortion_model, self.calibration)
+
+    def is_told_anew(self, before: "CameraModel", zoom: float = 1.0) -> bool:
+        """Tell whether another calibration than `before`, of the same size of image, puts what is seen to clearly other
+        places; one that follows a slow zoom from image to image does not.
+
+        zoom: how many times as large the picture has suddenly become, which a calibration may have followed.
+        """
+        if self.matrix is before.matrix and zoom == 1.0:
+            return False
+        larger = math.log(self.matrix[0, 0] / before.matrix[0, 0] / zoom)
+        aside = math.hypot(*(self.matrix[:2, 2] - before.matrix[:2, 2]).tolist())
+        return abs(larger) > _TOLD_ANEW or aside > _MOVED_CENTRE * self.width
 
     def _holds(self, pixels: np.ndarray, rays: np.ndarray) -> bool:
         """Return whether all rays (N, 2) are seen at their pixels (N, 2): beyond its edge a model gives anything."""

@@ -225,6 +225,11 @@ class InferenceScheduler:
         self._threads, self._together = threads, together
 
     @property
+    def is_live(self) -> bool:
+        """Whether the ages of the images are told (see note_timing): they come from a camera, which does not wait."""
+        return self._age is not None
+
+    @property
     def spare(self) -> float:
         """What is spent beyond the least budget, in cores."""
         return 0.0 if self._idle is None else self._idle.cores
@@ -370,6 +375,14 @@ class InferenceScheduler:
         self._left = min(spendable - needed, earned) if self._left else 0.0
         return due
 
+    def _most_of(self, step: float) -> int:
+        """Most inferences for the image `step` s after the last: of slow images more, where the time between them is
+        not needed for the rest."""
+        if self._age is None or step <= _SLOW_STEP:
+            return self._most
+        room = (_OF_INTERVAL * step - self._mean_rest) * self._threads.count / (self._cost * self._stretch)
+        return max(self._most, min(int(self._most * step / _SLOW_STEP), int(room)))
+
     def _affordable(self, due: int, step: float, extra: float, reserved: int, least: int) -> int:
         """Number of inferences for the image `step` s after the last; the time that is left goes to the next image.
 
@@ -381,7 +394,7 @@ class InferenceScheduler:
             count = max(1, int(spendable / self._cost + 1e-9))
             self._left = max(0.0, spendable - count * self._cost) if due > count else 0.0
         if self._most:
-            count = min(count, max(1, self._most + int(extra / self._cost + 1e-6) - reserved))
+            count = min(count, max(1, self._most_of(step) + int(extra / self._cost + 1e-6) - reserved))
         if self._age is not None:
             left = (self._max_age - self._age - self._rest) / self._stretch
             count = min(count, max(1, least, int(left / self._cost) * self._threads.count))

@@ -6,10 +6,10 @@ import math
 import threading
 import time
 from array import array
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Callable, Dict, Optional, Tuple, Union
+from typing import Callable, Deque, Dict, Optional, Tuple, Union
 
 import numpy as np
 import rospy
@@ -58,6 +58,9 @@ _BLANK_PERIOD_S = 1.0
 _MOST_BLANK = 2
 _CAMERA_LOG_PERIOD_S = 30.0
 _MOST_INFOS = 8
+# A camera that zooms tells another camera_info with each image: so many of one sender are kept, and so long (s) one
+# holds until the next.
+_MOST_KEPT, _HOLDS_S = 30, 1.0
 
 ImageMessage = Union[Image, CompressedImage]
 
@@ -271,7 +274,8 @@ class ImageInput(SensorInput):
             self._compared = self._came[0]
             fault = picture_fault(bgr)
             self._blank = (self._blank[0] + 1 if fault else 0, fault)
-        camera = self._camera.model(bgr.shape[1], bgr.shape[0], sender_of(message), header.frame_id)
+        camera = self._camera.model(bgr.shape[1], bgr.shape[0], sender_of(message), header.frame_id,
+                                    header.stamp.to_sec())
         self._last_stamp = stamp = header.stamp.to_sec()
         self._taken_at = self._came
         self.counts["taken"] += 1
@@ -415,10 +419,10 @@ class CameraInfoInput:
         self._hint = "using the field of view {} = {:.3f} rad; distances are only as good as that".format(
             rospy.resolve_name(fov_parameter), fallback_hfov)
         self._lock = threading.Lock()
-        self._infos: "OrderedDict[str, CameraInfo]" = OrderedDict()
+        self._infos: "OrderedDict[str, Deque[CameraInfo]]" = OrderedDict()
         self._key: Optional[tuple] = None
         self._model: Optional[CameraModel] = None
-        self._say_at = 0.0
+        self._say_at = self._zoom_said_at = 0.0
         self._heard = threading.Event()
         self._closed = False
         self.problem: Tuple[int, str] = (OK, "")
@@ -432,34 +436,54 @@ class CameraInfoInput:
     @property
     def newest(self) -> Optional[CameraInfo]:
         """The camera_info that came last, None before the first one."""
-        with self._lock:
-            return next(reversed(list(self._infos.values())), None)
+        return self._held()
 
-    def model(self, width: int, height: int, sender: str = "", frame: str = "") -> CameraModel:
+    def _held(self, sender: str = "", stamp: float = math.inf) -> Optional[CameraInfo]:
+        """The camera_info of a sender, else of that which sent last, that held at `stamp` (s): the last one until then,
+        the newest where none is of so lately, as by another clock; None before the first one."""
+        with self._lock:
+            infos = self._infos.get(sender) or next(reversed(list(self._infos.values())), None)
+            if infos is None:
+                return None
+            stamps = ((info, info.header.stamp.to_sec()) for info in reversed(infos))
+            return next((info for info, its in stamps if stamp - _HOLDS_S < its <= stamp), infos[-1])
+
+    def model(self, width: int, height: int, sender: str = "", frame: str = "",
+              stamp: float = math.inf) -> CameraModel:
         """Return the model for an image of width x height px.
 
-        It is made of the newest camera_info of the node that sends the images, `sender`, else of the newest one. frame:
-        that of the images.
+        It is made of the camera_info of the node that sends the images, `sender`, else of the one that came last, as it
+        was at the image's `stamp` (s). frame: that of the images.
         """
-        with self._lock:
-            info = self._infos.get(sender)
-        info = info or self.newest
+        info = self._held(sender, stamp)
         key = (width, height, frame) + (_key(info) if info is not None else ())
         if key != self._key or self._model is None:
-            was_guessed = self._model is not None and self._model.calibration is not Calibration.CALIBRATED
+            before = self._model
             self._model, text = self._build(info, width, height)
             text = text or self._other_frame(info, frame)
+            self._tell_change(before, self._model)
             if text != self.problem[1]:
                 self._say_at = 0.0
-                if was_guessed and self._model.calibration is Calibration.CALIBRATED:
-                    rospy.loginfo("%s: the camera is calibrated from now on, focal length %.0f px; people are at "
-                                  "other places than before", self.topic, self._model.matrix[0, 0])
             self.problem = (WARN, text) if text else (OK, "")
             self._key = key
         if self.problem[1] and time.monotonic() >= self._say_at:
             self._say_at = time.monotonic() + _CAMERA_LOG_PERIOD_S
             rospy.logwarn("%s", self.problem[1])
         return self._model
+
+    def _tell_change(self, before: Optional[CameraModel], now: CameraModel) -> None:
+        """Log that a camera is calibrated, or has another focal length, from now on; of one that zooms not each."""
+        if before is None or not now.is_calibrated:
+            return
+        focal, was = float(now.matrix[0, 0]), float(before.matrix[0, 0])
+        if not before.is_calibrated:
+            rospy.loginfo("%s: the camera is calibrated from now on, focal length %.0f px; people are at other places "
+                          "than before", self.topic, focal)
+        elif (before.width, before.height) == (now.width, now.height) and now.is_told_anew(before) and (
+                time.monotonic() >= self._zoom_said_at):
+            self._zoom_said_at = time.monotonic() + LOG_PERIOD_S
+            rospy.loginfo("%s: the focal length is %.0f px from now on, before %.0f px: unless the camera has zoomed "
+                          "as much, people are at other distances than before", self.topic, focal, was)
 
     def values(self) -> Dict[str, object]:
         """Return what diagnostics tell about the camera."""
@@ -479,7 +503,7 @@ class CameraInfoInput:
     def _store(self, info: CameraInfo) -> None:
         with self._lock:
             sender = sender_of(info)
-            self._infos[sender] = info
+            self._infos.setdefault(sender, deque(maxlen=_MOST_KEPT)).append(info)
             self._infos.move_to_end(sender)
             while len(self._infos) > _MOST_INFOS:
                 self._infos.popitem(last=False)

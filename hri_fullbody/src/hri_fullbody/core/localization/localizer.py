@@ -43,6 +43,7 @@ from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.images import sample_depth
 from hri_pipeline.core.observations import BodyObservation
 from hri_pipeline.core.one_euro import OneEuro
+from hri_pipeline.core.picture_jumps import Jump
 
 LEAST_POINTS = 6
 DEPTH_RANGE = (0.25, 25.0)
@@ -325,6 +326,18 @@ class BodyLocalizer:
         self._points = None if self._points is None else rotation.vectors(self._points)
         self._face = None if self._face is None else rotation.vectors(self._face)
         self._still = None
+
+    def forget_places(self, farther: float, jump: Optional[Jump] = None) -> None:
+        """Let the body be where it is seen next, without a way from where it was: the picture has made this `jump`, or
+        the camera's calibration is told anew. Until then it is so many times `farther` away. Its size stays."""
+        self._image.reset()
+        self._jitter.reset()
+        self._distance.reset()
+        self._cut_range, self._face, self._still = CutRange(), None, None
+        if jump is not None and self._pixels is not None:
+            self._pixels = jump.pixels(self._pixels)
+        if self._points is not None:
+            self._points = self._points + (0.0, 0.0, (farther - 1.0) * float(self._points[TRUNK, 2].mean()))
 
     def measures(self, track: BodyTrack, stamp: float) -> bool:
         """Tell whether `observe` takes up a detection at `stamp` (s): else it needs no scene."""

@@ -132,6 +132,10 @@ class BodyMotion:
         self.size *= jump.scale
         self._image.scale(jump.scale)
         self._image.value = self._image.value + jump.shift
+        self.forget_distance()
+
+    def forget_distance(self) -> None:
+        """Let the place in metres begin anew."""
         self._space = None
 
     def predicted_centre(self, stamp: float) -> np.ndarray:

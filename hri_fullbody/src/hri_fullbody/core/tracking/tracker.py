@@ -116,6 +116,7 @@ class BodyTracker:
         self.tracks: List[BodyTrack] = []
         self.windows = 0
         """Inferences since the last `follow`."""
+        self.jump: Optional[Jump] = None    # of the last image, with which all that is known has gone
         self.limit(birth_delay, death_time, min_score)
 
     def limit(self, birth_delay: float, death_time: float, min_score: float) -> None:
@@ -148,7 +149,7 @@ class BodyTracker:
         """Move all bodies with a picture that has jumped, and look at each in the image of `stamp` (s)."""
         self._candidates.clear()
         self._refused.clear()
-        self._jumped_at = stamp
+        self._jumped_at, self.jump = stamp, jump
         for track in self.tracks:
             track.jump(jump)
             self.schedule.renew(track.id)
@@ -185,7 +186,7 @@ class BodyTracker:
         for_new: windows of the schedule's budget that are left for new bodies.
         """
         self._locate = locate or (lambda estimate: None)
-        self.windows = 0
+        self.windows, self.jump = 0, None
         if self._cuts.update(image, stamp):
             for track in self.tracks:
                 track.cut_off(stamp)
@@ -282,10 +283,10 @@ class BodyTracker:
         unsure = [box for box in faint or () if not self._has_track(box, stamp)]
         self._candidates.offer_boxes(free, faces, others, stamp, unsure)
 
-    def try_new(self, image: np.ndarray, stamp: float, faces: Sequence[FaceBox], max_windows: int) -> None:
-        """Run at most `max_windows` inferences for bodies that are not tracked yet."""
+    def try_new(self, image: np.ndarray, stamp: float, faces: Sequence[FaceBox], max_windows: int) -> int:
+        """Run at most `max_windows` inferences for bodies that are not tracked yet; return how many were to be run."""
         if self._cuts.blank or len(self.tracks) >= self._max_bodies and all(track.visible for track in self.tracks):
-            return
+            return 0
         faces = self._fresh(faces, stamp)
         alone = [face for face in faces if self._owner(face) is None]
         self._candidates.offer_faces(alone, stamp)
@@ -294,7 +295,7 @@ class BodyTracker:
         while tried < max_windows:
             candidate = self._candidates.take()
             if candidate is None:
-                return
+                break
             face = by_id.get(candidate.face_id) if candidate.face_id is not None else None
             has_track = candidate.box is not None and self._has_track(candidate.box, stamp)
             if candidate.box is not None and not has_track and self._stays_refused(
@@ -310,6 +311,7 @@ class BodyTracker:
             if not self._guard.attempt("place of a new body", self._try_candidate, candidate, image, stamp, face,
                                        faces):
                 self._candidates.give_up(candidate.face_id, stamp)
+        return tried
 
     def _fresh(self, faces: Sequence[FaceBox], stamp: float) -> Sequence[FaceBox]:
         """The faces without those that may be of the picture before a cut or a jump."""

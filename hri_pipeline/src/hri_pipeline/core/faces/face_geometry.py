@@ -65,6 +65,11 @@ class FaceGeometry:
         """Forget all faces but these."""
         self._faces = {face_id: face for face_id, face in self._faces.items() if face_id in ids}
 
+    def forget_places(self) -> None:
+        """Let all faces be where they are measured next, as after a jump of the picture; their sizes stay."""
+        for face in self._faces.values():
+            face.forget_place()
+
     def turn(self, rotation: ImageRotation) -> None:
         """Turn all faces with the images."""
         for face in self._faces.values():
@@ -217,6 +222,12 @@ class _Face:
         self.mesh = None if self.mesh is None else rotation.pixels(self.mesh)
         if self.gaze is not None and self.gaze.direction is not None:
             self.gaze = replace(self.gaze, direction=rotation.vectors(self.gaze.direction))
+
+    def forget_place(self) -> None:
+        """Let pose and gaze begin with the next measurement."""
+        self.smoother.reset()
+        self.gaze_smoother.forget_direction()
+        self.raw = None
 
     def set_pose(self, pose: Optional[Pose], mesh: np.ndarray, stamp: float) -> None:
         """Set the pose measured in the image of `stamp` (s), None for no plausible one."""

@@ -125,6 +125,8 @@ class FacePipeline:
             def place(found: Sequence[TrackedFace]) -> None:
                 # Unconfirmed ones get a pose, too: when they are confirmed, it may not be their turn for a measurement.
                 new = [face for face in found if face.id not in observed]
+                if not observed and self._tracking.sees_anew:
+                    self._geometry.forget_places()
                 with measured():
                     poses = self._geometry.observe(new, camera, stamp, depth, bgr)
                 observed.update((face.id, face) for face in poses)

@@ -72,7 +72,8 @@ ANEW_PERIOD = 0.25
 class FaceTrackingPipeline:
     """Detects and tracks faces in an image sequence: the detector now and then, the mesh network as the time allows.
 
-    `detected` tells whether the detector ran on the last image. Not thread-safe.
+    `detected` tells whether the detector ran on the last image, `sees_anew` whether that has shown faces at suddenly
+    other places: the picture has jumped, or the camera's calibration is told anew. Not thread-safe.
 
     Parameters
     ----------
@@ -126,7 +127,7 @@ class FaceTrackingPipeline:
         self._flow = FaceFlow()
         self._stamp = 0.0
         self._camera: Optional[CameraModel] = None      # of the last image
-        self.detected = False
+        self.detected = self.sees_anew = False
         self._set_thresholds(settings)
 
     def reconfigure(self, settings: FacePipelineSettings) -> None:
@@ -185,6 +186,7 @@ class FaceTrackingPipeline:
         camera
             Camera model of the image's size, for what the networks see of faces; None: not known.
         """
+        told_anew = camera is not None and self._camera is not None and camera.is_told_anew(self._camera)
         self._camera = camera
         with self._times("face_flow"):
             was_blank, cut = self._cuts.blank, self._cuts.update(bgr, stamp)
@@ -196,10 +198,11 @@ class FaceTrackingPipeline:
             if self._cuts.jump is not None:
                 self._jump(self._cuts.jump, stamp)
             self._predict(bgr, stamp)
+        self.sees_anew = told_anew or self._cuts.jump is not None
         expected = self._tracker.expected(stamp)
         self._mesh_scheduler.share_among(self._mesh.threads, together=self._mesh.together_on_card(len(expected)))
         chosen = set(self._mesh_scheduler.choose(self._requests(expected, stamp), stamp))
-        if cut or self._cuts.jump is not None:      # nobody is told without a look
+        if cut or self.sees_anew:       # nobody is told without a look
             chosen = {track.id for track in expected}
         if cut:
             self._verifier.reset()
@@ -226,6 +229,7 @@ class FaceTrackingPipeline:
     def turn(self, rotation: ImageRotation) -> None:
         """Turn everything that is known of earlier images."""
         self._ignored.turn(rotation.quarters)
+        self._camera = None
         self._flow.turn(rotation)
         self._cuts.turn(rotation)
         self._orientation.images_turn()
