@@ -21,11 +21,13 @@ from hri_pipeline.ros.master import (
     OwnParameters,
     ParametersLost,
     PublisherAnswer,
+    address_of_node,
     check_not_lost,
     does_publish,
     is_alive,
     node_at,
     patient_master,
+    unregister_node,
 )
 from hri_pipeline.testing import wait_for
 
@@ -93,9 +95,11 @@ def test_what_nodes_say(node, nobody):
 def test_the_api_of_a_master_that_hangs_is_not_waited_for(silent, monkeypatch):
     monkeypatch.setattr(master, "ANSWER_S", 0.05)
     monkeypatch.setattr(master, "node_at", functools.partial(node_at, patience=0.05))
-    monkeypatch.setattr(master.rosgraph, "get_master_uri", lambda: silent)
-    with pytest.raises(OSError):
-        patient_master().getSystemState()
+    monkeypatch.setenv("ROS_MASTER_URI", silent)
+    for question in (lambda: patient_master().getSystemState(), lambda: address_of_node("/rsp_abcde"),
+                     lambda: unregister_node("/rsp_abcde")):
+        with pytest.raises(OSError):
+            question()
 
 
 def test_the_start_of_a_node_does_not_wait_for_an_aggregator_that_hangs(monkeypatch):
