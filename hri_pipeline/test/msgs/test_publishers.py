@@ -252,8 +252,8 @@ def test_who_comes_does_not_wait_for_a_master_that_did_not_take_back_who_left(ma
 def watch(master, topics, monkeypatch):
     """Returns the MasterWatch of a node that publishes `topics`, which looks after so many s at this master."""
     manager, missing = manager_of(master), threading.Event()
-    for module in (rospy_compat, master_module):
-        monkeypatch.setattr(module, "not_registered", missing)
+    for user in (rospy_compat, master_module):
+        monkeypatch.setattr(user, "not_registered", missing)
     monkeypatch.setattr(rospy_compat, "_managers", lambda: [manager])
     monkeypatch.setattr(rospy_compat.rospy, "get_name", lambda: NAME)
     monkeypatch.setattr(master_module, "register_without_waiting", lambda: None)
