@@ -22,7 +22,7 @@ from hri_pipeline.core.faces.appearance import (
 from hri_pipeline.core.faces.crops import aligned_crop, evenness
 from hri_pipeline.core.faces.mesh import MESH_POINTS
 from hri_pipeline.core.faces.track import FaceMeasurement
-from hri_pipeline.core.faces.tracker import FaceTracker
+from hri_pipeline.core.faces.tracker import DOUBT_TIME, TURNED_DOUBT_TIME, FaceTracker
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.images import PictureCuts
@@ -120,7 +120,9 @@ def test_a_face_that_is_surely_one_needs_no_detection_at_the_place_of_another(fa
     for index in range(5, 9):
         faces.update([stranger], index * STEP)
         assert faces.replaced is (index == 5 or not begins)
-    assert {track.id for track in faces.tracks if track.visible}.isdisjoint({first})
+        there = {track.id for track in faces.expected((index + 1) * STEP)}
+        assert first not in there, "the other one's mesh would be found"
+    assert first not in {track.id for track in faces.tracks if track.visible}
     assert [track.visible for track in faces.tracks if track.id in faces.ids] == [False] + [True] * begins
 
 
@@ -241,13 +243,32 @@ def test_a_face_that_changes_little_by_little_is_the_same(faces):
     assert len({names.get(200) for names in show(faces, *images)}) == 1
 
 
-def test_who_stands_half_out_of_the_image_after_a_stall_is_looked_at():
+@pytest.mark.parametrize("stamp, cut, lost", [(1.6, False, False), (0.3, True, False), (0.3, False, True)])
+def test_who_stands_half_out_of_the_image_is_looked_at_after_a_stall_a_cut_and_a_loss(stamp, cut, lost):
     faces = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceMatcher(Network(), 150, 0.8))
-    names = set()
-    for seed, stamp in ((1, 0.0), (1, 0.1), (2, 1.6)):
-        image = np.ascontiguousarray(scene((seed, 735))[:, :750])
-        names |= {track.id for track in faces.update([measurement(image, 735)], stamp, view=(750, 400))}
-    assert len(names) == 2
+    one, other = (measurement(np.ascontiguousarray(scene((seed, 735))[:, :750]), 735) for seed in (1, 2))
+    for before in (0.0, 0.1, 0.2):
+        faces.update([] if lost and before == 0.2 else [one], before, view=(750, 400))
+    name, = faces.ids
+    assert [track.id for track in faces.update([other], stamp, view=(750, 400), cut=cut)] != [name]
+
+
+@pytest.mark.parametrize("seen_for, x, is_same", [(0.5, 720, True), (0.2, 720, False), (0.5, 745, False)])
+def test_who_is_half_out_is_somebody_lost_only_where_that_one_just_stood(monkeypatch, seen_for, x, is_same):
+    """What the border cuts off looks like anybody."""
+    monkeypatch.setattr(AppearanceMatcher, "verdict", lambda *given: Verdict.SAME)
+    faces, image = FaceTracker(0.0, 1.0, 10), np.ascontiguousarray(scene((1, 700))[:, :750])
+    for stamp in np.arange(0.0, seen_for + 0.01, STEP):
+        faces.update([measurement(image, 700)], stamp, view=(750, 400))
+    name, = faces.ids
+    faces.update([], seen_for + STEP, view=(750, 400))
+    found, = faces.update([measurement(image, x)], seen_for + 2 * STEP, view=(750, 400))
+    assert (found.id == name) is is_same
+
+
+def test_after_a_cut_a_face_that_looks_the_same_at_its_place_goes_on(faces):
+    name = show(faces, *[(scene((1, 200)), [200])] * 5)[-1][200]
+    assert [track.id for track in faces.update([measurement(scene((1, 200)), 200)], 5 * STEP, cut=True)] == [name]
 
 
 @pytest.mark.parametrize("stall", [1.3, 2.5, 4.5])
@@ -378,6 +399,45 @@ def test_a_face_that_waited_for_its_turn_is_checked_only_where_the_flow_lost_it(
     for track in faces.tracks:
         track.move(np.zeros(2), 1.9)
     assert name not in [track.id for track in faces.update([measurement(scene((2, 200)), 200)], 1.9) if track.visible]
+
+
+@pytest.mark.parametrize("missed, stamp, cut, doubtful", [
+    (None, 0.2, False, False), (0.2, 0.3, False, False), (0.2, 0.8, False, True), (None, 1.5, False, True),
+    (None, 0.2, True, True)])
+def test_after_a_loss_a_stall_or_a_cut_nothing_but_its_looks_speaks_for_a_face(monkeypatch, missed, stamp, cut,
+                                                                               doubtful):
+    asked, faces = [], FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1))
+    monkeypatch.setattr(AppearanceMatcher, "verdict", lambda *given: asked.append(given[4]) or Verdict.SAME)
+    show(faces, *[(scene((1, 200)), [200])] * 2)
+    for track in faces.tracks:
+        track.move(np.zeros(2), missed or stamp)        # so far the flow has followed it
+    if missed:
+        faces.update([], missed)
+    faces.update([measurement(scene((2, 200)), 200)], stamp, cut=cut)
+    assert asked == [doubtful]
+
+
+@pytest.mark.parametrize("turned, lasts", [(0.0, DOUBT_TIME), (0.6, TURNED_DOUBT_TIME)])
+@pytest.mark.parametrize("confirmed", [False, True])
+def test_what_looks_like_neither_is_the_same_face_for_a_moment(monkeypatch, turned, lasts, confirmed):
+    def verdict(judge, memory, seen, stamp, *more):
+        return Verdict.SAME if confirmed and stamp == again else Verdict.UNSURE
+
+    monkeypatch.setattr(AppearanceMatcher, "verdict", verdict)
+    faces, again = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1)), 0.5 + lasts - 0.05
+    name = show(faces, *[(scene((1, 200)), [200])] * 3)[-1][200]
+    ids = [faces.update([measurement(scene((2, 200)), 200, turned=turned)], stamp)[0].id
+           for stamp in (0.5, again, 0.5 + lasts + 0.05)]
+    assert ids[:2] == [name, name] and (ids[2] == name) is confirmed
+
+
+def test_who_was_not_found_after_a_cut_is_doubted_later_too(monkeypatch):
+    asked, faces = [], FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1))
+    monkeypatch.setattr(AppearanceMatcher, "verdict", lambda *given: asked.append(given[4]) or Verdict.SAME)
+    show(faces, *[(scene((1, 200)), [200])] * 2)
+    faces.update([], 0.2, cut=True)
+    faces.update([measurement(scene((1, 200)), 200)], 0.3)
+    assert asked == [True]
 
 
 def test_a_verdict_that_is_not_clear_is_no_change_of_face():

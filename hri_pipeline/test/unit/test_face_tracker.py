@@ -17,6 +17,7 @@ from hri_pipeline.core.faces.tracker import (
     SPARE_TRACKS,
     FaceTracker,
     explains,
+    is_same_or_part,
     same_face,
     without_duplicates,
 )
@@ -61,6 +62,8 @@ def test_nobody_is_looked_for_where_the_picture_before_a_cut_showed_a_face():
     faces.update([face(100.0)], 0.0)
     faces.update([], STEP, cut=True)
     assert len(faces.ids) == 1 and faces.expected(2 * STEP) == []
+    faces.update([], 2 * STEP)
+    assert len(faces.ids) == 1 and faces.expected(3 * STEP) == []
 
 
 @pytest.mark.parametrize("above, conflicts", [(-0.01, False), (0.01, True)])
@@ -204,6 +207,15 @@ def test_a_whole_face_beats_a_part_of_it_unless_the_detector_is_surer_of_the_par
     assert without_duplicates([low, high]) == [high], "centres far apart, one in the other"
 
 
+@pytest.mark.parametrize("whole, part, kept", [((0.7, 0.95), (0.7, 0.95), 300.0), ((0.65, 0.95), (0.7, 0.95), 300.0),
+                                               ((0.55, 0.95), (0.7, 0.95), 100.0), ((0.7, 0.8), (0.7, 0.95), 100.0)])
+def test_of_a_face_and_a_part_of_it_one_is_kept_by_score_and_presence(whole, part, kept):
+    both = [dataclasses.replace(face(200.0, size=size), score=score, presence=presence)
+            for size, (score, presence) in ((300.0, whole), (100.0, part))]
+    for order in (both, both[::-1]):
+        assert [one.place[1] for one in without_duplicates(order)] == [pytest.approx(kept)]
+
+
 def test_a_track_that_held_on_to_a_mouth_goes_on_with_the_whole_face():
     mouth, whole = part_and_whole(0.43, 0.87)
     start = FaceMeasurement(mouth.mesh, mouth.presence, True, score=0.43)
@@ -286,6 +298,22 @@ def test_same_face_by_overlap_and_by_distance():
     assert same_face(box, box + 10.0)
     assert same_face(box, np.array([30.0, 30.0, 70.0, 70.0]))
     assert not same_face(box, box + (90.0, 0.0, 90.0, 0.0))
+    tall = np.array([0.0, 0.0, 50.0, 150.0])
+    assert same_face(tall, tall + (0.0, 50.0, 0.0, 50.0)), "half of it is the same, although the centres are apart"
+    assert not same_face(tall, tall + (0.0, 70.0, 0.0, 70.0))
+
+
+def test_a_chin_far_from_the_middle_of_its_face_is_a_part_of_it():
+    whole, chin = np.array([0.0, 0.0, 100.0, 100.0]), np.array([30.0, 70.0, 70.0, 110.0])
+    assert is_same_or_part(whole, chin) and is_same_or_part(chin, whole) and not same_face(whole, chin)
+
+
+@pytest.mark.parametrize("lost, away, is_same", [(0, 60.0, True), (0, 80.0, False), (1, 140.0, True),
+                                                 (1, 160.0, False)])
+def test_a_face_goes_on_where_it_is_expected_and_a_lost_one_in_a_wider_place(lost, away, is_same):
+    faces = tracker()
+    seen = run(faces, *[[face(200.0)]] * 3, *[[]] * lost, [face(200.0 + away)])
+    assert (seen[-1].keys() == seen[0].keys()) is is_same
 
 
 def crossing(speed, hidden_below):

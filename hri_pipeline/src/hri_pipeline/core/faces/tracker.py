@@ -355,7 +355,7 @@ class FaceTracker:
         for row, track in enumerate(self._tracks):
             if row in continued:
                 self._continue(track, measurements[continued[row]], stamp)
-            elif track.id not in skipped or cut:
+            elif track.id not in skipped:
                 track.miss()
                 track.replaced = track.replaced or cut
         taken = set(continued.values())
