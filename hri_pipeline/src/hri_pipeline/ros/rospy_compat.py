@@ -298,8 +298,7 @@ def register_without_waiting() -> None:
     """Let topics and services of this process open while the master is away. Idempotent.
 
     rospy waits until it is back, and every other topic of the process with it: as soon as somebody new came, nothing
-    went on. Who calls this registers them all when `not_registered` is set, and takes back what was closed
-    (MasterWatch).
+    went on. Who calls this tells all that is open and closed when `not_registered` is set (MasterWatch).
     """
     RegManager.reg_added = _reg_added
     RegManager.reg_removed = _reg_removed
@@ -350,10 +349,7 @@ def _reg_removed(manager: RegManager, name: str, kind: str, of: str) -> None:
 
 
 def unregister_closed(published: Iterable[str], subscribed: Iterable[str]) -> None:
-    """Take back from the master those of these topics that this node does not publish, or subscribe to, any more.
-
-    Whoever opens one of them meanwhile waits, and registers it after that.
-    """
+    """Take back from the master those of these topics that are not open here; who opens one meanwhile waits."""
     changes = [_Change(of, name, None) for of, names in ((Registration.PUB, published), (Registration.SUB, subscribed))
                for name in names]
     for manager in _managers():
@@ -396,12 +392,10 @@ def _tell_master(manager: RegManager, changes: Sequence[_Change]) -> None:
 
 
 def _call_master(manager: RegManager, changes: Sequence[_Change]) -> None:
-    # A master that has not answered a moment ago is not waited for again: MasterWatch tells it all.
-    if not_registered.is_set():
-        return
     # A node that ends has perhaps been replaced by one of its name, which the master would end when this one registers.
     told = [change for change in changes if change.kind is None or not rospy.is_shutdown()]
-    if not told:
+    # A master that has not answered a moment ago is not waited for again: MasterWatch tells it all.
+    if not told or not_registered.is_set():
         return
     try:
         with ServerProxy(manager.master_uri, transport=TransportWithTimeout(_REGISTER_S)) as master:
@@ -587,10 +581,7 @@ class _PatientSocket:
 
 
 class _PatientServer(tcpros_base.TCPServer):
-    """rospy's server of connections.
-
-    The thread of the original ends for good when accept() finds no free descriptor.
-    """
+    """rospy's server of connections, whose thread does not end for good when accept() finds no free descriptor."""
 
     def _create_server_sock(self) -> _PatientSocket:
         return _PatientSocket(super()._create_server_sock())
