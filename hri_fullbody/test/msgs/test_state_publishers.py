@@ -1,11 +1,14 @@
 """robot_state_publishers while the master is away; without a master."""
 
+import functools
+import socket
 from unittest.mock import MagicMock
 
 import pytest
 
 from hri_fullbody.ros import state_publishers as module
-from hri_fullbody.ros.state_publishers import StatePublishers
+from hri_fullbody.ros.state_publishers import DescriptionServer, StatePublishers
+from hri_pipeline.ros import master
 
 
 @pytest.fixture
@@ -41,3 +44,16 @@ def test_what_is_left_of_one_body_does_not_keep_what_is_left_of_others(publisher
     for step in range(30):
         publishers._delete(0.1 * step)
     assert set(publishers._undeleted) == {"first"}
+
+
+def test_a_master_that_hangs_is_not_waited_for(monkeypatch):
+    """The thread of all bodies would wait for ever, and nobody who comes later would have a skeleton."""
+    with socket.socket() as silent:
+        silent.bind(("127.0.0.1", 0))
+        silent.listen(5)
+        monkeypatch.setattr(master, "node_at", functools.partial(master.node_at, patience=0.05))
+        monkeypatch.setenv("ROS_MASTER_URI", "http://127.0.0.1:{}/".format(silent.getsockname()[1]))
+        server = DescriptionServer(50.0)
+        for call in (server.names, lambda: server.put("abcde", "<robot/>"), lambda: server.delete("abcde")):
+            with pytest.raises(OSError):
+                call()

@@ -21,11 +21,13 @@ from hri_pipeline.ros.master import (
     OwnParameters,
     ParametersLost,
     PublisherAnswer,
+    address_of_node,
     check_not_lost,
     does_publish,
     is_alive,
     node_at,
     patient_master,
+    unregister_node,
 )
 from hri_pipeline.testing import wait_for
 
@@ -93,9 +95,11 @@ def test_what_nodes_say(node, nobody):
 def test_the_api_of_a_master_that_hangs_is_not_waited_for(silent, monkeypatch):
     monkeypatch.setattr(master, "ANSWER_S", 0.05)
     monkeypatch.setattr(master, "node_at", functools.partial(node_at, patience=0.05))
-    monkeypatch.setattr(master.rosgraph, "get_master_uri", lambda: silent)
-    with pytest.raises(OSError):
-        patient_master().getSystemState()
+    monkeypatch.setenv("ROS_MASTER_URI", silent)
+    for question in (lambda: patient_master().getSystemState(), lambda: address_of_node("/rsp_abcde"),
+                     lambda: unregister_node("/rsp_abcde")):
+        with pytest.raises(OSError):
+            question()
 
 
 def test_the_start_of_a_node_does_not_wait_for_an_aggregator_that_hangs(monkeypatch):
@@ -135,6 +139,67 @@ def test_a_node_that_gives_a_wrong_address_to_others_says_so(reached, node, nobo
         assert looked.wait(20.0)
     assert len(said) == (0 if reached else 1)
     assert all(nobody in text and "ROS_HOSTNAME is 'nowhere.invalid'" in text for text in said)
+
+
+class Graph:
+    """A master and a node (process 7), at `uri`, of which it knows or not; `told` is what either was told."""
+
+    uri = "http://127.0.0.1:1/"
+
+    def __init__(self, monkeypatch):
+        self.knows, self.pid, self.code, self.told = True, 7, 1, []
+        monkeypatch.setattr(master, "node_at", lambda uri: contextlib.nullcontext(self))
+        monkeypatch.setattr(master, "own_address", lambda: self.uri)
+
+    def lookupNode(self, caller, name):
+        return [1, "", self.uri] if self.knows else [-1, "unknown", ""]
+
+    def getPid(self, caller):
+        return [1, "", self.pid]
+
+    def getPublications(self, caller):
+        return [1, "", [["/out", "std_msgs/String"]]]
+
+    def getSubscriptions(self, caller):
+        return [1, "", [["/in", "std_msgs/Bool"]]]
+
+    def registerPublisher(self, *given):
+        self.told.append(given)
+        return [self.code, "", []]
+
+    def registerSubscriber(self, *given):
+        self.told.append(given)
+        return [self.code, "no", ["http://publisher/"]]
+
+    def publisherUpdate(self, *given):
+        self.told.append(given)
+
+
+@pytest.mark.parametrize("was_known, is_known, pid, registers", [
+    (True, False, 7, True), (False, False, 7, False), (True, True, 7, False), (True, False, 8, False)])
+def test_topics_of_the_aggregator_are_told_a_new_master_that_does_not_know_it_while_it_runs(
+        monkeypatch, was_known, is_known, pid, registers):
+    graph, aggregator = Graph(monkeypatch), ForeignNode("/hri_diagnostics")
+    graph.knows = was_known
+    aggregator.look()
+    graph.knows, graph.pid = is_known, pid
+    aggregator.register()
+    assert graph.told == [("/hri_diagnostics", "/out", "std_msgs/String", graph.uri),
+                          ("/hri_diagnostics", "/in", "std_msgs/Bool", graph.uri),
+                          ("/master", "/in", ["http://publisher/"])] * registers
+
+
+def test_a_subscription_that_is_registered_again_hears_who_publishes_unless_the_node_ends(monkeypatch):
+    graph = Graph(monkeypatch)
+    master.subscribe_again("/in", "std_msgs/Bool")
+    assert graph.told == [(NAME, "/in", "std_msgs/Bool", graph.uri), ("/master", "/in", ["http://publisher/"])]
+    graph.code = 0
+    with pytest.raises(OSError, match="/in: no"):
+        master.subscribe_again("/in", "std_msgs/Bool")
+    graph.told.clear()
+    monkeypatch.setattr(master.rospy, "is_shutdown", lambda: True)
+    master.subscribe_again("/in", "std_msgs/Bool")
+    assert graph.told == []
 
 
 class FakeMaster:
@@ -382,6 +447,14 @@ def test_the_end_of_a_master_is_seen_without_asking_it(asked_master):
             assert connection.ask(NAME) == (43, "") and connection.is_open()
         finally:
             other.end()
+
+
+def test_a_master_in_a_container_is_told_from_the_one_before_by_the_id_of_its_run(asked_master):
+    """Each has the process id 1."""
+    with contextlib.closing(master.MasterConnection()) as connection:
+        for run in (RUN, OTHER):
+            asked_master.register_function(lambda caller, name, run=run: [1, "", run], "getParam")
+            assert connection.ask(NAME) == (42, run)
 
 
 def test_a_master_that_stays_is_seldom_asked_who_it_is(asked_master, monkeypatch):

@@ -11,10 +11,13 @@ import pytest
 from rospy.impl.registration import Registration
 from std_msgs.msg import String
 
+from hri_pipeline.ros import master as master_module
 from hri_pipeline.ros import publishers as module
 from hri_pipeline.ros import rospy_compat, subscriptions
 from hri_pipeline.ros.publishers import IdPublishers, TopicSpec
+from hri_pipeline.testing import wait_for
 
+NAME = "/faces"
 WAIT_S = 10.0
 
 
@@ -173,6 +176,20 @@ def test_topics_of_all_who_leave_are_taken_back_in_one_call(master, topics, monk
     assert master.topics == [] and master.requests == len(names) + 1
 
 
+def test_topics_that_wait_for_a_thread_are_released_with_the_next_ones(monkeypatch):
+    """Else those of everybody who leaves later would stay, too, and the end of the node would fail."""
+    releaser, done = rospy_compat.Releaser(), []
+    monkeypatch.setattr(rospy_compat, "release", done.append)
+    with monkeypatch.context() as shortage:
+        shortage.setattr(threading.Thread, "start", MagicMock(side_effect=RuntimeError("can't start new thread")))
+        with pytest.raises(RuntimeError):
+            releaser.put(["first"])
+        releaser.wait()
+    releaser.put(["second"])
+    releaser.wait()
+    assert done == ["first", "second"]
+
+
 def test_who_comes_and_who_leaves_is_followed_and_left_in_one_call(master, topics, monkeypatch):
     manager = manager_of(master)
     manager.publisher_update = lambda topic, found: None
@@ -227,7 +244,83 @@ def test_who_comes_does_not_wait_for_a_master_that_did_not_take_back_who_left(ma
     with rospy_compat.registered_together():
         closed(manager_of(master), topics.pubs, "left", Registration.PUB)
     opened(manager_of(master), topics.pubs, "new", Registration.PUB)
+    closed(manager_of(master), topics.pubs, "new", Registration.PUB)
     assert rospy_compat.not_registered.is_set() and master.requests == 1
+
+
+@pytest.fixture()
+def watch(master, topics, monkeypatch):
+    """Returns the MasterWatch of a node that publishes `topics`, which looks after so many s at this master."""
+    manager, missing = manager_of(master), threading.Event()
+    for user in (rospy_compat, master_module):
+        monkeypatch.setattr(user, "not_registered", missing)
+    monkeypatch.setattr(rospy_compat, "_managers", lambda: [manager])
+    monkeypatch.setattr(rospy_compat.rospy, "get_name", lambda: NAME)
+    monkeypatch.setattr(master_module, "register_without_waiting", lambda: None)
+    monkeypatch.setattr(master_module, "own_address", lambda: manager.uri)
+    monkeypatch.setattr(master_module, "own_publications", lambda: [(name, "std_msgs/String") for name in topics.pubs])
+    for name in ("own_subscriptions", "own_services"):
+        monkeypatch.setattr(master_module, name, lambda: [])
+    monkeypatch.setattr(master_module.rosgraph, "get_master_uri", lambda: manager.master_uri)
+    monkeypatch.setattr(master_module.MasterWatch, "_ask", lambda watch: (1, "run"))
+    monkeypatch.setattr(master_module.MasterWatch, "_warn_if_unreachable", lambda watch: None)
+    monkeypatch.setattr(master_module.ForeignNode, "look", lambda aggregator: None)
+    return lambda period: contextlib.closing(master_module.MasterWatch(period))
+
+
+def lists(master, meanwhile=lambda: None):
+    """Let a master tell what it lists, after which something else comes."""
+    def state(caller):
+        published = [[topic, ["/other", NAME]] for topic in master.topics] + [["/of_others", ["/other"]]]
+        meanwhile()
+        return [1, "", [published, [], []]]
+
+    master.register_function(state, "getSystemState")
+
+
+def fails_once(master, call):
+    """Let the network fail in the next call of a master that answers later ones."""
+    works = master.funcs[call]
+
+    def failing(*given):
+        master.register_function(works, call)
+        raise TimeoutError
+
+    master.register_function(failing, call)
+
+
+@pytest.mark.parametrize("period, looks", [(0.005, True), (100.0, False)])
+def test_a_topic_whose_end_the_master_has_not_heard_of_is_taken_back_later(master, topics, watch, period, looks):
+    """It would list it for ever. That is done at the next look, or as the node ends."""
+    lists(master)
+    for name in ("stays", "left"):
+        opened(manager_of(master), topics.pubs, name, Registration.PUB)
+    fails_once(master, "unregisterPublisher")
+    with watch(period):
+        closed(manager_of(master), topics.pubs, "left", Registration.PUB)
+        if looks:
+            wait_for(lambda: set(master.topics) == {"stays"}, WAIT_S, lambda: master.topics)
+    assert set(master.topics) == {"stays"} and not rospy_compat.not_registered.is_set()
+
+
+def test_a_topic_that_opens_again_while_what_was_closed_is_taken_back_stays(master, topics, watch):
+    told = threading.Event()
+
+    def open_again():
+        opened(manager_of(master), topics.pubs, "again", Registration.PUB)
+        told.set()
+
+    for name in ("stays", "again"):
+        opened(manager_of(master), topics.pubs, name, Registration.PUB)
+    fails_once(master, "unregisterPublisher")
+    closed(manager_of(master), topics.pubs, "again", Registration.PUB)
+    # The master of this test answers one at a time: that it is registered comes after the answer.
+    lists(master, lambda: told.is_set() or threading.Thread(target=open_again, daemon=True).start() or wait_for(
+        lambda: "again" in topics.pubs, WAIT_S, "it opens"))
+    with watch(0.005):
+        assert told.wait(WAIT_S)
+        wait_for(lambda: not rospy_compat.not_registered.is_set(), WAIT_S, "all is told")
+    assert set(master.topics) == {"stays", "again"}
 
 
 def test_a_service_that_opens_does_not_wait_for_who_opens_a_topic(master, topics):

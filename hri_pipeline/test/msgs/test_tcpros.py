@@ -119,6 +119,55 @@ def test_a_message_is_on_its_way_when_publish_returns(prompt):
     del connection._cond_data_available.notify
 
 
+class Narrow:
+    """A socket that takes so many bytes (`room`) without waiting, and its connection, which waits."""
+
+    def __init__(self, room):
+        self.room, self.taken, self.meanwhile = room, b"", lambda: None
+        self.socket, self.done, self.stat_bytes, self.stat_num_msg = self, False, 0, 0
+
+    def gettimeout(self):
+        return None
+
+    def send(self, data, flags):
+        part = bytes(data[:self.room])
+        if not part:
+            raise BlockingIOError
+        self.room -= len(part)
+        self.taken += part
+        return len(part)
+
+    def write_data(self, data):
+        self.meanwhile()
+        self.taken += data
+
+    def set_cleanup_callback(self, callback):
+        pass
+
+
+@pytest.mark.parametrize("room", [0, 3])
+@pytest.mark.parametrize("while_it_is_sent", [False, True])
+def test_no_message_overtakes_one_that_waits_or_is_in_parts(monkeypatch, room, while_it_is_sent):
+    """A connection that has room again in that moment."""
+    monkeypatch.setattr(PromptConnection, "_run", lambda connection: None)
+    wire, woken = Narrow(room), []
+    connection = PromptConnection(wire, 10)
+    connection._cond_data_available.notify = lambda: woken.append(0)
+    connection.write_data(b"abcdef")
+    assert wire.taken == b"abc"[:room] and woken
+    wire.room = 100
+    if while_it_is_sent:
+        wire.meanwhile = lambda: setattr(wire, "meanwhile", lambda: None) or connection.write_data(b"gh")
+    else:
+        connection.write_data(b"gh")
+        assert wire.taken == b"abc"[:room]
+    connection._send_waiting()
+    if while_it_is_sent:
+        assert wire.taken == b"abcdef"
+        connection._send_waiting()
+    assert wire.taken == b"abcdefgh"
+
+
 def test_who_does_not_read_stops_nobody_and_gets_whole_messages_the_begun_one_and_the_last(prompt):
     connection, theirs = prompt(2)
     large = [bytes([number]) * 2 ** 20 for number in range(40)]

@@ -1,6 +1,7 @@
 """Whether a track is still of the same face: small pictures, templates, cuts of the picture; with faces that do not
 exist."""
 
+import dataclasses
 import sys
 
 import cv2
@@ -21,7 +22,7 @@ from hri_pipeline.core.faces.appearance import (
 from hri_pipeline.core.faces.crops import aligned_crop, evenness
 from hri_pipeline.core.faces.mesh import MESH_POINTS
 from hri_pipeline.core.faces.track import FaceMeasurement
-from hri_pipeline.core.faces.tracker import FaceTracker
+from hri_pipeline.core.faces.tracker import DOUBT_TIME, TURNED_DOUBT_TIME, FaceTracker
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.images import PictureCuts
@@ -86,7 +87,7 @@ def show(faces, *images, start=0.0):
     """Show (image, x positions) STEP apart; returns the ids of the faces that were seen, by place."""
     seen = []
     for index, (image, places) in enumerate(images):
-        tracks = faces.update([measurement(image, x) for x in places], start + index * STEP)
+        tracks = faces.update([measurement(image, x) for x in places], start + index * STEP, view=(800, 400))
         seen.append({int(round(track.measurement.box[[0, 2]].mean())): track.id for track in tracks})
     return seen
 
@@ -107,6 +108,22 @@ def test_somebody_else_at_the_same_place_is_another_face(faces):
     seen = show(faces, *[(scene((1, 200)), [200])] * 5, *[(scene((2, 200)), [200])] * 5)
     assert seen[4][200] == seen[0][200] and seen[9][200] not in (None, seen[0][200])
     assert seen[5].get(200) != seen[0][200], "not for one image"
+
+
+@pytest.mark.parametrize("presence, begins", [(0.95, True), (0.85, False)])
+def test_a_face_that_is_surely_one_needs_no_detection_at_the_place_of_another(faces, presence, begins):
+    """The detector need not look where a face is known."""
+    first = show(faces, *[(scene((1, 200)), [200])] * 5)[-1][200]
+    assert not faces.replaced
+    stranger = dataclasses.replace(measurement(scene((2, 200)), 200), may_start=False, presence=presence,
+                                   hit_weight=0.0)
+    for index in range(5, 9):
+        faces.update([stranger], index * STEP)
+        assert faces.replaced is (index == 5 or not begins)
+        there = {track.id for track in faces.expected((index + 1) * STEP)}
+        assert first not in there, "the other one's mesh would be found"
+    assert first not in {track.id for track in faces.tracks if track.visible}
+    assert [track.visible for track in faces.tracks if track.id in faces.ids] == [False] + [True] * begins
 
 
 def test_a_new_light_and_a_shift_are_no_other_face(faces):
@@ -188,6 +205,72 @@ def test_what_was_lost_goes_on_with_the_same_face_only(faces):
     assert seen[-1][230] != seen[0][200]
 
 
+def reappearing(*images):
+    """Ids of the faces that were seen, by place, and the tracks that live; told apart by templates."""
+    faces = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceMatcher(Network(), 150, 0.8))
+    return show(faces, *images), faces.tracks
+
+
+def test_who_comes_out_far_from_where_the_face_was_lost_is_the_same():
+    """Behind a pillar, say."""
+    seen, (track,) = reappearing(*[(scene((1, 200)), [200])] * 5, *[(scene(), [])] * 3, (scene((1, 600)), [600]))
+    assert seen[8][600] == seen[0][200]
+    assert track.detected_at == pytest.approx(8 * STEP), "it lives for as long as any face from now on"
+
+
+def test_who_may_be_either_of_two_that_were_lost_is_neither():
+    seen, tracks = reappearing(*[(scene((1, 100), (1, 700)), [100, 700])] * 5, *[(scene(), [])] * 2,
+                               *[(scene((1, 400)), [400])] * 2)
+    assert seen[-1][400] not in seen[0].values() and len(tracks) == 3
+
+
+def test_of_two_who_may_be_the_one_that_was_lost_one_is():
+    seen, tracks = reappearing(*[(scene((1, 400)), [400])] * 5, *[(scene(), [])] * 2,
+                               (scene((1, 100), (1, 700)), [100, 700]))
+    assert len(seen[-1]) == len(tracks) == 2 and seen[0][400] in seen[-1].values()
+
+
+def test_who_is_in_view_is_not_taken_for_somebody_alike_who_was_lost():
+    seen, tracks = reappearing(*[(scene((1, 100), (1, 700)), [100, 700])] * 5, *[(scene((1, 700)), [700])] * 3)
+    assert seen[-1][700] == seen[0][700] and len(tracks) == 2
+
+
+def test_a_face_that_changes_little_by_little_is_the_same(faces):
+    """A lamp that moves, a head that turns: each look is like those before."""
+    shares = np.linspace(0.0, 1.0, 60)
+    images = [(((1.0 - share) * scene((1, 200)) + share * scene((2, 200))).astype(np.uint8), [200])
+              for share in shares]
+    assert len({names.get(200) for names in show(faces, *images)}) == 1
+
+
+@pytest.mark.parametrize("stamp, cut, lost", [(1.6, False, False), (0.3, True, False), (0.3, False, True)])
+def test_who_stands_half_out_of_the_image_is_looked_at_after_a_stall_a_cut_and_a_loss(stamp, cut, lost):
+    faces = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceMatcher(Network(), 150, 0.8))
+    one, other = (measurement(np.ascontiguousarray(scene((seed, 735))[:, :750]), 735) for seed in (1, 2))
+    for before in (0.0, 0.1, 0.2):
+        faces.update([] if lost and before == 0.2 else [one], before, view=(750, 400))
+    name, = faces.ids
+    assert [track.id for track in faces.update([other], stamp, view=(750, 400), cut=cut)] != [name]
+
+
+@pytest.mark.parametrize("seen_for, x, is_same", [(0.5, 720, True), (0.2, 720, False), (0.5, 745, False)])
+def test_who_is_half_out_is_somebody_lost_only_where_that_one_just_stood(monkeypatch, seen_for, x, is_same):
+    """What the border cuts off looks like anybody."""
+    monkeypatch.setattr(AppearanceMatcher, "verdict", lambda *given: Verdict.SAME)
+    faces, image = FaceTracker(0.0, 1.0, 10), np.ascontiguousarray(scene((1, 700))[:, :750])
+    for stamp in np.arange(0.0, seen_for + 0.01, STEP):
+        faces.update([measurement(image, 700)], stamp, view=(750, 400))
+    name, = faces.ids
+    faces.update([], seen_for + STEP, view=(750, 400))
+    found, = faces.update([measurement(image, x)], seen_for + 2 * STEP, view=(750, 400))
+    assert (found.id == name) is is_same
+
+
+def test_after_a_cut_a_face_that_looks_the_same_at_its_place_goes_on(faces):
+    name = show(faces, *[(scene((1, 200)), [200])] * 5)[-1][200]
+    assert [track.id for track in faces.update([measurement(scene((1, 200)), 200)], 5 * STEP, cut=True)] == [name]
+
+
 @pytest.mark.parametrize("stall", [1.3, 2.5, 4.5])
 def test_after_a_stall_a_face_goes_on_that_is_the_same(faces, stall):
     """A busy machine looks at no image for seconds: nobody was lost meanwhile."""
@@ -202,6 +285,11 @@ def test_who_left_during_a_stall_ends_and_after_a_long_one_everybody_is_new(face
     after = show(faces, *[(scene((1, 200)), [200])] * 30, start=4 * STEP + 1.5)[-1]
     assert [track.id for track in faces.tracks] == [before[200]] == list(after.values())
     assert show(faces, (scene((1, 200)), [200]), start=100.0)[0][200] != before[200]
+
+
+def test_who_was_lost_before_a_stall_ends(faces):
+    seen = show(faces, *[(scene((1, 200)), [200])] * 5, (scene(), []))
+    assert show(faces, (scene((1, 200)), [200]), start=5 * STEP + 2.0)[0][200] != seen[0][200]
 
 
 def test_who_stood_behind_somebody_that_walked_past_has_the_old_id(faces):
@@ -220,6 +308,15 @@ def test_after_a_cut_a_face_is_the_one_it_looks_like_wherever_it_is():
     tracks = faces.update([measurement(image, 200, False), measurement(image, 600)], 0.5, cut=True)
     after = {int(round(track.measurement.box[[0, 2]].mean())): track.id for track in tracks}
     assert after[200] == before[600] and after[600] not in before.values()
+
+
+def test_after_a_cut_who_is_known_needs_no_detection():
+    faces = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceMatcher(Network(), 150, 0.8))
+    before = show(faces, *[(scene((1, 200), (2, 600)), [200, 600])] * 5)[-1]
+    image = scene((2, 200), (1, 600))
+    faces.update([dataclasses.replace(measurement(image, x, False), presence=0.85) for x in (200, 600)], 0.5, cut=True)
+    after = {int(round(track.measurement.box[[0, 2]].mean())): track.id for track in faces.tracks if track.visible}
+    assert after == {200: before[600], 600: before[200]}
 
 
 def test_the_network_runs_seldom_on_a_face_that_goes_on():
@@ -243,6 +340,18 @@ def test_templates_that_recognition_has_made_replace_the_checks(given):
             faces.take_templates({name: other([face_chip(image, mesh(200), 150)])[0]}, stamp)
     checks = 300 * STEP / CHECK_PERIOD
     assert network.runs == 1 if given else network.runs >= checks - 2, "one template to compare with"
+
+
+def test_templates_go_to_their_faces_unless_these_are_in_doubt(monkeypatch):
+    taken, judge = [], AppearanceMatcher()
+    monkeypatch.setattr(judge, "take_template", lambda memory, template, stamp: taken.append(memory))
+    faces = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=judge)
+    show(faces, (scene((1, 200), (2, 600)), [200, 600]))
+    one, other = faces.tracks
+    faces.take_templates({one.id: np.ones(1)}, 0.0)
+    one.doubtful_since = 0.0
+    faces.take_templates({one.id: np.ones(1), other.id: np.ones(1)}, 0.0)
+    assert taken == [one.memory, other.memory]
 
 
 def test_a_template_of_somebody_else_neither_is_a_check_nor_becomes_a_view():
@@ -290,6 +399,45 @@ def test_a_face_that_waited_for_its_turn_is_checked_only_where_the_flow_lost_it(
     for track in faces.tracks:
         track.move(np.zeros(2), 1.9)
     assert name not in [track.id for track in faces.update([measurement(scene((2, 200)), 200)], 1.9) if track.visible]
+
+
+@pytest.mark.parametrize("missed, stamp, cut, doubtful", [
+    (None, 0.2, False, False), (0.2, 0.3, False, False), (0.2, 0.8, False, True), (None, 1.5, False, True),
+    (None, 0.2, True, True)])
+def test_after_a_loss_a_stall_or_a_cut_nothing_but_its_looks_speaks_for_a_face(monkeypatch, missed, stamp, cut,
+                                                                               doubtful):
+    asked, faces = [], FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1))
+    monkeypatch.setattr(AppearanceMatcher, "verdict", lambda *given: asked.append(given[4]) or Verdict.SAME)
+    show(faces, *[(scene((1, 200)), [200])] * 2)
+    for track in faces.tracks:
+        track.move(np.zeros(2), missed or stamp)        # so far the flow has followed it
+    if missed:
+        faces.update([], missed)
+    faces.update([measurement(scene((2, 200)), 200)], stamp, cut=cut)
+    assert asked == [doubtful]
+
+
+@pytest.mark.parametrize("turned, lasts", [(0.0, DOUBT_TIME), (0.6, TURNED_DOUBT_TIME)])
+@pytest.mark.parametrize("confirmed", [False, True])
+def test_what_looks_like_neither_is_the_same_face_for_a_moment(monkeypatch, turned, lasts, confirmed):
+    def verdict(judge, memory, seen, stamp, *more):
+        return Verdict.SAME if confirmed and stamp == again else Verdict.UNSURE
+
+    monkeypatch.setattr(AppearanceMatcher, "verdict", verdict)
+    faces, again = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1)), 0.5 + lasts - 0.05
+    name = show(faces, *[(scene((1, 200)), [200])] * 3)[-1][200]
+    ids = [faces.update([measurement(scene((2, 200)), 200, turned=turned)], stamp)[0].id
+           for stamp in (0.5, again, 0.5 + lasts + 0.05)]
+    assert ids[:2] == [name, name] and (ids[2] == name) is confirmed
+
+
+def test_who_was_not_found_after_a_cut_is_doubted_later_too(monkeypatch):
+    asked, faces = [], FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1))
+    monkeypatch.setattr(AppearanceMatcher, "verdict", lambda *given: asked.append(given[4]) or Verdict.SAME)
+    show(faces, *[(scene((1, 200)), [200])] * 2)
+    faces.update([], 0.2, cut=True)
+    faces.update([measurement(scene((1, 200)), 200)], 0.3)
+    assert asked == [True]
 
 
 def test_a_verdict_that_is_not_clear_is_no_change_of_face():
@@ -479,11 +627,12 @@ def test_empty_pictures_are_no_cut_and_any_size_is_taken():
 
 def test_who_is_not_there_any_more_takes_nobody_s_place():
     """After a cut there are as many others at once, although the faces of before are remembered for a moment."""
-    faces = FaceTracker(0.0, 1.0, 2, IdGenerator(seed=1), judge=AppearanceMatcher(Network(), 150, 0.8))
-    before = show(faces, *[(scene((1, 200), (2, 600)), [200, 600])] * 3)[-1]
-    image = scene((3, 200), (4, 600))
-    tracks = faces.update([measurement(image, 200), measurement(image, 600)], 0.3, cut=True)
-    assert len(tracks) == 2 and not {track.id for track in tracks} & set(before.values())
+    places = (100, 300, 500, 700)
+    faces = FaceTracker(0.0, 1.0, 4, IdGenerator(seed=1), judge=AppearanceMatcher(Network(), 150, 0.8))
+    before = show(faces, *[(scene(*enumerate(places)), places)] * 3)[-1]
+    image = scene(*enumerate(places, 4))
+    tracks = faces.update([measurement(image, place) for place in places], 0.3, cut=True)
+    assert len(tracks) == 4 and not {track.id for track in tracks} & set(before.values())
 
 
 @pytest.mark.parametrize("missed", [1, 3])
@@ -567,6 +716,8 @@ def test_a_view_keeps_no_part_of_the_image_once_its_crop_is_made(size):
 
 def test_points_in_one_place_have_no_other_view():
     assert CameraModel.from_fov(640, 480, 1.0).facing_map(np.full((5, 2), 100.0)) == pytest.approx(np.eye(3))
+
+
 @pytest.mark.parametrize("last", [760, 790, 820])
 def test_who_leaves_the_image_after_somebody_else_is_not_taken_for_that_one(last):
     """What the border cuts off looks like nobody: a camera turned, and who left last had the id of the one before."""

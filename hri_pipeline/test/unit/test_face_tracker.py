@@ -14,8 +14,10 @@ from hri_pipeline.core.faces.track import CropAnchor, FaceMeasurement, face_colo
 from hri_pipeline.core.faces.tracker import (
     COAST_TIME,
     SCORE_MARGIN,
+    SPARE_TRACKS,
     FaceTracker,
     explains,
+    is_same_or_part,
     same_face,
     without_duplicates,
 )
@@ -53,6 +55,15 @@ def test_a_face_is_looked_for_at_its_place_for_a_moment_after_it_was_lost():
     faces.update([], STEP)
     assert [track.id for track in faces.expected(COAST_TIME - 0.01)] == faces.ids
     assert faces.expected(COAST_TIME + 0.01) == []
+
+
+def test_nobody_is_looked_for_where_the_picture_before_a_cut_showed_a_face():
+    faces = tracker()
+    faces.update([face(100.0)], 0.0)
+    faces.update([], STEP, cut=True)
+    assert len(faces.ids) == 1 and faces.expected(2 * STEP) == []
+    faces.update([], 2 * STEP)
+    assert len(faces.ids) == 1 and faces.expected(3 * STEP) == []
 
 
 @pytest.mark.parametrize("above, conflicts", [(-0.01, False), (0.01, True)])
@@ -107,12 +118,13 @@ def test_a_short_occlusion_is_bridged():
     assert seen[8] == {}
 
 
-def test_a_gap_between_images_longer_than_the_death_time_ends_the_track():
+@pytest.mark.parametrize("gap", [1.5, 60.0])
+def test_a_gap_between_images_longer_than_the_death_time_ends_the_track(gap):
     faces = tracker(death=1.0)
     faces.update([face(100.0)], 0.0)
     first = faces.ids
-    assert faces.expected(60.0) == []
-    faces.update([face(100.0)], 60.0)
+    assert faces.expected(gap) == []
+    faces.update([face(100.0)], gap)
     assert faces.ids != first
 
 
@@ -150,6 +162,22 @@ def test_no_more_than_max_faces():
     assert len(faces.ids) == 3
 
 
+def test_the_largest_candidates_wait_and_few_of_them():
+    faces = tracker(birth=0.5, most=2)
+    faces.update([face(150.0 * number, size=100.0 + number) for number in range(10)], 0.0)
+    assert sorted(track.measurement.box[[0, 2]].mean() for track in faces.tracks) == [
+        pytest.approx(150.0 * number) for number in range(10 - 2 - SPARE_TRACKS, 10)]
+
+
+@pytest.mark.parametrize("larger, waits", [(1.2, False), (1.4, True)])
+def test_who_would_not_take_the_place_of_anybody_known_does_not_wait_for_one(larger, waits):
+    faces = tracker(birth=0.3, most=1)
+    run(faces, *[[face(100.0)]] * 10)
+    assert faces.has_room_for(face(500.0, size=100.0 * larger).box, None) is waits
+    faces.update([face(100.0), face(500.0, size=100.0 * larger)], 10 * STEP)
+    assert len(faces.ids) == 1 and len(faces.tracks) == 1 + waits
+
+
 def test_duplicates_are_one_face_and_neighbours_are_two():
     kept = without_duplicates([face(100.0), face(110.0, size=130.0, presence=0.5), face(180.0)])
     assert [measurement.box[[0, 2]].mean() for measurement in kept] == [100.0, 180.0]
@@ -177,6 +205,15 @@ def test_a_whole_face_beats_a_part_of_it_unless_the_detector_is_surer_of_the_par
     low = FaceMeasurement(face(100.0, 235.0, 40.0).mesh, 0.97, True, score=0.43)
     high = FaceMeasurement(face(100.0, 185.0, 150.0).mesh, 0.99, False, score=0.87)
     assert without_duplicates([low, high]) == [high], "centres far apart, one in the other"
+
+
+@pytest.mark.parametrize("whole, part, kept", [((0.7, 0.95), (0.7, 0.95), 300.0), ((0.65, 0.95), (0.7, 0.95), 300.0),
+                                               ((0.55, 0.95), (0.7, 0.95), 100.0), ((0.7, 0.8), (0.7, 0.95), 100.0)])
+def test_of_a_face_and_a_part_of_it_one_is_kept_by_score_and_presence(whole, part, kept):
+    both = [dataclasses.replace(face(200.0, size=size), score=score, presence=presence)
+            for size, (score, presence) in ((300.0, whole), (100.0, part))]
+    for order in (both, both[::-1]):
+        assert [one.place[1] for one in without_duplicates(order)] == [pytest.approx(kept)]
 
 
 def test_a_track_that_held_on_to_a_mouth_goes_on_with_the_whole_face():
@@ -261,6 +298,22 @@ def test_same_face_by_overlap_and_by_distance():
     assert same_face(box, box + 10.0)
     assert same_face(box, np.array([30.0, 30.0, 70.0, 70.0]))
     assert not same_face(box, box + (90.0, 0.0, 90.0, 0.0))
+    tall = np.array([0.0, 0.0, 50.0, 150.0])
+    assert same_face(tall, tall + (0.0, 50.0, 0.0, 50.0)), "half of it is the same, although the centres are apart"
+    assert not same_face(tall, tall + (0.0, 70.0, 0.0, 70.0))
+
+
+def test_a_chin_far_from_the_middle_of_its_face_is_a_part_of_it():
+    whole, chin = np.array([0.0, 0.0, 100.0, 100.0]), np.array([30.0, 70.0, 70.0, 110.0])
+    assert is_same_or_part(whole, chin) and is_same_or_part(chin, whole) and not same_face(whole, chin)
+
+
+@pytest.mark.parametrize("lost, away, is_same", [(0, 60.0, True), (0, 80.0, False), (1, 140.0, True),
+                                                 (1, 160.0, False)])
+def test_a_face_goes_on_where_it_is_expected_and_a_lost_one_in_a_wider_place(lost, away, is_same):
+    faces = tracker()
+    seen = run(faces, *[[face(200.0)]] * 3, *[[]] * lost, [face(200.0 + away)])
+    assert (seen[-1].keys() == seen[0].keys()) is is_same
 
 
 def crossing(speed, hidden_below):
@@ -372,6 +425,15 @@ def test_reset_drops_everybody_and_no_id_comes_again():
     assert faces.ids != first
 
 
+def test_a_reset_forgets_how_slow_the_images_were():
+    faces = tracker(death=0.5)
+    for stamp in range(5):
+        faces.update([face(100.0)], 2.0 * stamp)
+    faces.reset()
+    run(faces, [face(100.0)], *[[]] * 10)
+    assert faces.ids == []
+
+
 @pytest.mark.parametrize("arguments", [(-1.0, 1.0, 5), (0.1, 0.0, 5), (0.1, float("nan"), 5), (0.1, 1.0, 0)])
 def test_constructor_refuses_nonsense(arguments):
     with pytest.raises(ValueError):
@@ -398,6 +460,14 @@ def test_a_face_lives_as_long_as_it_is_detected_now_and_then():
         ids.update(faces.ids)
         assert len(faces.ids) == (1 if step >= 1 else 0)
     assert len(ids) == 1
+
+
+def test_a_face_that_is_detected_in_each_image_lives_however_short_the_support_time():
+    faces = FaceTracker(0.0, 1.0, 10, support_time=0.1)
+    for stamp in (0.0, 0.2, 0.4):
+        faces.add_detections([face(100.0).box], stamp)
+        faces.update([face(100.0, detection=stamp == 0.0)], stamp)
+        assert len(faces.ids) == 1
 
 
 def test_of_slow_images_the_detector_sees_a_face_in_few():
@@ -430,6 +500,12 @@ def test_what_the_detector_is_not_sure_of_needs_more_of_it():
         faces.update([pattern if step == 0 else face(100.0, detection=False)], stamp)
         counts.append(len(faces.ids))
     assert counts.index(1) == 14, "half of a detection four times"
+
+
+def test_where_one_detection_is_enough_an_unsure_one_is():
+    faces = FaceTracker(0.0, 1.0, 10, min_detections=1)
+    faces.update([dataclasses.replace(face(100.0), hit_weight=0.25)], 0.0)
+    assert len(faces.ids) == 1
 
 
 def panned(stamp):
@@ -555,6 +631,15 @@ def test_an_anchor_follows_the_detections_of_its_face():
         anchor.see(crop(100.0, -150.0))
     assert anchor.hold(crop(48.0, -100.0), PROFILE).size == pytest.approx(48.5, rel=1e-3)
     assert anchor.hold(crop(48.0, -100.0), PROFILE).angle == pytest.approx(np.radians(-162.0), rel=1e-3)
+
+
+def test_a_detection_of_a_known_face_is_told_and_holds_its_crop():
+    faces, small, large = tracker(), crop(150.0, 0.0), crop(600.0, 0.0)
+    faces.update([dataclasses.replace(face(100.0), crops=(small, small))], 0.0)
+    track, = faces.tracks
+    before = track.roi(STEP).size
+    assert faces.add_detections([face(600.0).box, face(100.0).box], STEP, crops=[small, large]) == [track]
+    assert track.roi(STEP).size > before
 
 
 def test_an_old_detection_holds_no_crop():
@@ -695,6 +780,13 @@ def test_a_face_that_is_not_seen_twice_yet_is_not_asked_about():
     assert faces.doubted == [track]
 
 
+@pytest.mark.parametrize("verification, doubted", [(0.0, True), (1.0, False)])
+def test_a_face_that_is_not_verified_or_not_doubted_is_not_asked_about(verification, doubted):
+    faces = FaceTracker(0.0, 1.0, 10, doubts=lambda track: doubted)
+    faces.update([dataclasses.replace(face(100.0), verification=verification)], 0.0)
+    assert len(faces.tracks) == 1 and faces.doubted == []
+
+
 def test_faces_that_were_refused_leave_room_for_others():
     faces = tracker(most=1)
     faces._doubts = lambda track: not track.vouched
@@ -705,6 +797,7 @@ def test_faces_that_were_refused_leave_room_for_others():
     assert faces.ids == [] and len(faces.tracks) == 4
     for index in range(5, 8):
         seen = faces.update([*things, face(800.0)], index * STEP)
+    assert seen[-1].measurement.box[[0, 2]].mean() == pytest.approx(800.0)
     seen[-1].vouched = True
     faces.update([*things, face(800.0)], 8 * STEP)
     assert faces.ids == [seen[-1].id]

@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Set
 
-import rosgraph
 import roslib.packages
 import rospkg
 import rospy
@@ -18,7 +17,15 @@ import rospy
 from hri_pipeline.core.ids import ID_PATTERN, is_valid_id
 from hri_pipeline.core.process import ChildProcess, RestartPolicy, identity_of, is_alive
 from hri_pipeline.ros.diagnostics import OK, WARN, Status
-from hri_pipeline.ros.master import CALL_S, MASTER_ERRORS, address_of_node, end_node, node_at, unregister_node
+from hri_pipeline.ros.master import (
+    CALL_S,
+    MASTER_ERRORS,
+    address_of_node,
+    end_node,
+    node_at,
+    patient_master,
+    unregister_node,
+)
 
 PACKAGE = "robot_state_publisher"
 MISSING = ("robot_state_publisher is not installed, so bodies have joint states but no skeleton frames; install it: "
@@ -385,7 +392,7 @@ class DescriptionServer:
     """
 
     def __init__(self, publish_frequency: float) -> None:
-        self._master = rosgraph.Master(rospy.get_name())
+        self._master = patient_master()
         # Frames of people are no part of a robot: without an own tf_prefix, that of the robot counts.
         self._private = {"publish_frequency": float(publish_frequency), "tf_prefix": "",
                          "owner": dict(identity_of(), node=rospy.get_name())}

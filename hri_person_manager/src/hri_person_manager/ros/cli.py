@@ -288,8 +288,8 @@ def _show_until(options: argparse.Namespace, end: float, name: str) -> int:
     finally:
         _end_quietly()
         last = as_data(watch.rows(), *watch.rates(), watch.seen)
-        master.close()
         watch.close()
+        master.close()
     try:
         if options.json:
             write_json(options.json, last)

@@ -30,6 +30,7 @@ from hri_pipeline.ros.rospy_compat import (
     own_services,
     own_subscriptions,
     register_without_waiting,
+    unregister_closed,
 )
 
 ANSWER_S = 5.0
@@ -65,9 +66,12 @@ def node_at(uri: str, patience: float = ANSWER_S) -> ServerProxy:
     return ServerProxy(uri, transport=TransportWithTimeout(patience))
 
 
-def patient_master() -> rosgraph.Master:
-    """Return the API of the master; a call raises OSError where no answer comes for ANSWER_S."""
-    master = rosgraph.Master(rospy.get_name())
+def patient_master(name: str = "") -> rosgraph.Master:
+    """Return the API of the master; a call raises OSError where no answer comes for ANSWER_S.
+
+    name: of the node that asks, this one where it is empty.
+    """
+    master = rosgraph.Master(name or rospy.get_name())
     master.handle = node_at(rosgraph.get_master_uri())
     return master
 
@@ -245,11 +249,17 @@ class MasterWatch:
         return self._away
 
     def close(self) -> None:
-        """Stop watching. Idempotent."""
+        """Stop watching; a master that did not answer is told once more what was closed. Idempotent."""
         self._closed.set()
         self._thread.join(timeout=5.0)
         if not self._thread.is_alive():
             self._connection.close()
+        if not_registered.is_set():
+            not_registered.clear()
+            try:
+                _take_back_closed(CALL_S)
+            except Exception as error:      # it is still away
+                rospy.logdebug("the ROS master may list topics that are closed: %s", error)
 
     def _watch(self, period: float) -> None:
         # These may take as long as a machine that cannot be reached.
@@ -339,27 +349,27 @@ class MasterWatch:
             if is_new:
                 self._put_back()    # first: who sees the node on the new master finds its parameters, too
             with node_at(rosgraph.get_master_uri()) as master:
-                published = own_publications()
-                for topic, kind in published:
+                for topic, kind in own_publications():
                     _check(master.registerPublisher(name, topic, kind, uri))
-                # Whoever has gone meanwhile has taken these back before the new master knew them.
-                there = {topic for topic, _ in own_publications()}
-                for topic in {topic for topic, _ in published} - there:
-                    _check(master.unregisterPublisher(name, topic, uri))
                 for service, service_uri in own_services():
                     _check(master.registerService(name, service, service_uri, uri))
-            subscribed = own_subscriptions()
-            for topic, kind in subscribed:
+            for topic, kind in own_subscriptions():
                 subscribe_again(topic, kind)
-            there = {topic for topic, _ in own_subscriptions()}
-            with node_at(rosgraph.get_master_uri()) as master:
-                for topic in {topic for topic, _ in subscribed} - there:
-                    _check(master.unregisterSubscriber(name, topic, uri))
+            _take_back_closed()
         except Exception as error:      # it has just begun, or has gone again
             not_registered.set()
             rospy.logerr("registration with the ROS master failed: %s; trying again", error)
             return False
         return True
+
+
+def _take_back_closed(patience: float = ANSWER_S) -> None:
+    """Take back what the master lists of this node that is not open: it may not have heard of the end of a topic, or
+    only before it was registered anew. Raises as node_at() does."""
+    name = rospy.get_name()
+    with node_at(rosgraph.get_master_uri(), patience) as master:
+        published, subscribed, _ = master.getSystemState(name)[2]
+    unregister_closed(*([topic for topic, nodes in listed if name in nodes] for listed in (published, subscribed)))
 
 
 def _check(answer: Tuple[int, str, int]) -> None:
@@ -522,8 +532,8 @@ def end_node(name: str, why: str) -> None:
 
 
 def unregister_node(name: str) -> None:
-    """Take all registrations of a node back that did not do so itself."""
-    master = rosgraph.Master(name)
+    """Take all registrations of a node back that did not do so itself. Raises one of MASTER_ERRORS."""
+    master = patient_master(name)
     uri = address_of_node(name)
     if uri is None:
         return
@@ -540,10 +550,10 @@ def unregister_node(name: str) -> None:
 
 
 def address_of_node(name: str) -> Optional[str]:
-    """Address of a node's API, None when the master does not know the node."""
+    """Address of a node's API, None when the master does not know the node. Raises OSError where it does not answer."""
     if not name:
         return None
     try:
-        return rosgraph.Master(rospy.get_name()).lookupNode(name) or None
+        return patient_master().lookupNode(name) or None
     except rosgraph.MasterError:
         return None

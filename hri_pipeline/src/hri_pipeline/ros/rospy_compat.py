@@ -180,12 +180,13 @@ class Releaser:
         self._thread: Optional[threading.Thread] = None
 
     def put(self, publishers: Iterable[rospy.Publisher]) -> None:
-        """Release these soon."""
+        """Release these soon. Raises RuntimeError where the system gives no more threads: the next call tries again."""
         with self._lock:
             self._waiting.extend(publishers)
             if self._waiting and self._thread is None:
-                self._thread = threading.Thread(target=self._run, name="releaser", daemon=True)
-                self._thread.start()
+                thread = threading.Thread(target=self._run, name="releaser", daemon=True)
+                thread.start()
+                self._thread = thread
 
     def wait(self) -> None:
         """Return when all have been released."""
@@ -297,7 +298,7 @@ def register_without_waiting() -> None:
     """Let topics and services of this process open while the master is away. Idempotent.
 
     rospy waits until it is back, and every other topic of the process with it: as soon as somebody new came, nothing
-    went on. Who calls this registers them all when `not_registered` is set (MasterWatch).
+    went on. Who calls this tells all that is open and closed when `not_registered` is set (MasterWatch).
     """
     RegManager.reg_added = _reg_added
     RegManager.reg_removed = _reg_removed
@@ -339,10 +340,20 @@ def _reg_added(manager: RegManager, name: str, kind: str, of: str) -> None:
 
 def _reg_removed(manager: RegManager, name: str, kind: str, of: str) -> None:
     """Take a topic or service back from the master; kind: type, or address of a service."""
-    if of in _CLOSED and _batch.changes is not None:
+    if of not in _CLOSED:
+        _unregister(manager, name, kind, of)
+    elif _batch.changes is not None:
         _batch.changes.append((manager, _Change(of, name, None)))
     else:
-        _unregister(manager, name, kind, of)
+        _tell_master(manager, [_Change(of, name, None)])
+
+
+def unregister_closed(published: Iterable[str], subscribed: Iterable[str]) -> None:
+    """Take back from the master those of these topics that are not open here; who opens one meanwhile waits."""
+    changes = [_Change(of, name, None) for of, names in ((Registration.PUB, published), (Registration.SUB, subscribed))
+               for name in names]
+    for manager in _managers():
+        _tell_master(manager, changes)
 
 
 @contextmanager
@@ -382,10 +393,9 @@ def _tell_master(manager: RegManager, changes: Sequence[_Change]) -> None:
 
 def _call_master(manager: RegManager, changes: Sequence[_Change]) -> None:
     # A node that ends has perhaps been replaced by one of its name, which the master would end when this one registers.
-    # And a master that has not answered a moment ago is not waited for again.
-    is_late = rospy.is_shutdown() or not_registered.is_set()
-    told = [change for change in changes if not (is_late and change.kind is not None)]
-    if not told:
+    told = [change for change in changes if change.kind is None or not rospy.is_shutdown()]
+    # A master that has not answered a moment ago is not waited for again: MasterWatch tells it all.
+    if not told or not_registered.is_set():
         return
     try:
         with ServerProxy(manager.master_uri, transport=TransportWithTimeout(_REGISTER_S)) as master:
@@ -436,9 +446,13 @@ def _connect(connection: Any, address: str, port: int, publisher: str, receive: 
     if connection in subscriber.connections:
         subscriber.remove_connection(connection)
     if tcpros_pubsub.check_if_still_publisher(topic, publisher):
-        for listener in get_registration_listeners().listeners:
-            if isinstance(listener, RegManager):
-                listener._connect_topic_thread(topic, publisher)
+        for manager in _managers():
+            manager._connect_topic_thread(topic, publisher)
+
+
+def _managers() -> List[RegManager]:
+    """Return what of rospy talks to the master: one, none before it has registered this node, and none at its end."""
+    return [listener for listener in get_registration_listeners().listeners if isinstance(listener, RegManager)]
 
 
 class NewSubscriberListener(rospy.SubscribeListener):
@@ -567,10 +581,7 @@ class _PatientSocket:
 
 
 class _PatientServer(tcpros_base.TCPServer):
-    """rospy's server of connections.
-
-    The thread of the original ends for good when accept() finds no free descriptor.
-    """
+    """rospy's server of connections, whose thread does not end for good when accept() finds no free descriptor."""
 
     def _create_server_sock(self) -> _PatientSocket:
         return _PatientSocket(super()._create_server_sock())

@@ -72,7 +72,7 @@ class PromptConnection(tcpros_pubsub.QueuedConnection):
         """Return how many bytes the system has taken; errors come again when the thread sends the rest."""
         sender = getattr(self._connection, "socket", None)
         # With a time limit Python would wait until there is room. rospy's have none, once the headers are exchanged.
-        if sender is None or self._connection.done or sender.gettimeout() is not None:
+        if sender is None or sender.gettimeout() is not None:
             return 0
         try:
             sent: int = sender.send(data, socket.MSG_DONTWAIT)

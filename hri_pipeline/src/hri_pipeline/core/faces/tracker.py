@@ -148,8 +148,8 @@ class FaceTracker:
 
     @property
     def doubted(self) -> List[FaceTrack]:
-        """New tracks that are seen, have enough hits and are verified, but doubted, oldest first."""
-        return [track for track in self._tracks if track.visible and not track.published and self._has_hits(track)
+        """New tracks that have enough hits and are verified, but doubted, oldest first."""
+        return [track for track in self._tracks if not track.published and self._has_hits(track)
                 and track.verification >= VERIFIED and self._doubts(track)]
 
     def _has_hits(self, track: FaceTrack) -> bool:
@@ -275,7 +275,7 @@ class FaceTracker:
         """Continue lost tracks with faces that were not published yet and are the same by appearance, wherever they
         are."""
         lost = [track for track in self._tracks if not track.visible]
-        new = [track for track in self._tracks if not track.published and track.visible and track.measured_at >= stamp]
+        new = [track for track in self._tracks if not track.published and track.measured_at >= stamp]
         for candidate in new if lost else ():
             look = candidate.measurement.look
             same = [track for track in lost if not track.visible and track.memory is not None and look is not None
@@ -287,10 +287,8 @@ class FaceTracker:
 
     def _continue(self, track: FaceTrack, measurement: FaceMeasurement, stamp: float) -> None:
         """Update a track with a measurement of its face."""
-        if measurement.look is not None:
-            if track.memory is None:
-                track.memory = self._judge.begin(measurement.look, stamp)
-            elif track.doubtful_since is None:
+        if measurement.look is not None and track.memory is not None:
+            if track.doubtful_since is None:
                 self._judge.remember(track.memory, measurement.look, stamp)
             else:
                 measurement.look.release()
@@ -357,7 +355,7 @@ class FaceTracker:
         for row, track in enumerate(self._tracks):
             if row in continued:
                 self._continue(track, measurements[continued[row]], stamp)
-            elif track.id not in skipped or cut:
+            elif track.id not in skipped:
                 track.miss()
                 track.replaced = track.replaced or cut
         taken = set(continued.values())
