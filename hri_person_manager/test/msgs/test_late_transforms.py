@@ -51,8 +51,9 @@ def angle(stamp):
                      for sign, part in ((1.0, there), (-1.0, back)))
 
 
-def places(clock, late, until=104.0):
-    """Places in map, and delays (s), of a face that stands still before a camera that pans."""
+def places(clock, late, until=104.0, told=None):
+    """Places in map, and delays (s), of a face that stands still before a camera that pans; told: takes of whom it is
+    told meanwhile that its transforms are late."""
     found = []
     source = TfInput("map", 0.5, lambda poses: found.extend(
         (reference.place(pose), clock["now"] - pose.secs - 1e-9 * pose.nsecs) for pose in poses))
@@ -71,7 +72,18 @@ def places(clock, late, until=104.0):
                     FACE[0] * math.sin(turn) + FACE[1] * math.cos(turn), 0.0)
             give(source, "camera", "face_f1", seen, (0.0, 0.0, 0.0, 1.0), now - 0.04)
         source.pass_on()
+        if told is not None:
+            told.update(reference.late)
     return found
+
+
+@pytest.mark.parametrize("late, said", [(0.0, set()), (LATE_S, set()), (0.4, {"camera"}), (0.7, {"camera"})])
+def test_transforms_that_come_too_late_of_a_camera_that_moves_are_told(clock, monkeypatch, late, said):
+    """People moved with the camera by up to 0.5 m, without a word."""
+    monkeypatch.setattr(inputs.time, "monotonic", lambda: clock["now"])
+    told = set()
+    places(clock, late, told=told)
+    assert told == said
 
 
 def test_a_person_stands_still_though_the_transforms_come_later_than_the_images(clock):

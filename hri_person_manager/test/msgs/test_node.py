@@ -1,5 +1,6 @@
 """The node of the person manager goes on, whatever the master and one bad number do; without a master."""
 
+import json
 import threading
 import time
 from functools import partial
@@ -23,7 +24,15 @@ from hri_person_manager.ros.navigation import PeopleTopic
 from hri_person_manager.ros.node import PersonManagerNode
 from hri_person_manager.ros.persistence import RestartState
 from hri_person_manager.ros.services import GalleryAnswer, PersonServices
-from hri_person_manager.srv import EnrolRequest, ForgetRequest, MergeRequest
+from hri_person_manager.srv import (
+    EnrolRequest,
+    ExportRequest,
+    ForgetRequest,
+    MergeRequest,
+    SetNameRequest,
+    SetNativeLanguageRequest,
+    SplitRequest,
+)
 from hri_pipeline.client.topics import Engagement, Location
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.timing import StaleStampFilter
@@ -177,6 +186,65 @@ def test_a_merge_that_cannot_be_kept_is_told_as_what_it_is(at_two):
     with pytest.raises(RegisterError, match="ada is an alias of bob until the end of this run, but .*read-only"):
         services._merge(MergeRequest(id="bob", other="ada"))
     assert services._manager.representative("ada") == "bob" and services._changed.called
+
+
+def test_an_anonymous_person_who_is_parted_is_not_kept_as_somebody_known(at_two):
+    """It had a record from then on: in the store, and as a known person of the next run."""
+    services, person = services_with_somebody(GalleryResponse())
+    services._manager.know(["ada"])
+    assert services._merge(MergeRequest(id="ada", other=person)).success
+    assert services._split(SplitRequest(id=person)).success
+    assert [record.id for record in services._register.records] == ["ada"]
+    with pytest.raises(RegisterError, match="anonymous"):
+        services._set_name(SetNameRequest(id=person, name="Ada"))
+
+
+def test_what_is_said_of_an_id_that_was_merged_is_said_of_the_person_in_use(at_two):
+    """The answer was "bob has a name", and the person whom everybody sees had none; an anonymous id was refused."""
+    services, person = services_with_somebody(GalleryResponse())
+    services._manager.know(["ada", "bob"])
+    for other in ("bob", person):
+        assert services._merge(MergeRequest(id="ada", other=other)).success
+    assert services._set_name(SetNameRequest(id="bob", name="Ada")).message == "ada has a name"
+    assert services._set_native_language(SetNativeLanguageRequest(id=person, language="fr")).message.endswith("ada: fr")
+    assert services._register.get("ada").name == "Ada" and not services._register.get("bob").name
+    assert services._set_name(SetNameRequest(id="bob", name="   ")).message == "ada has no name"
+
+
+def test_a_merged_person_has_the_name_that_one_of_both_has_and_export_shows_both(at_two):
+    """Ada, when she was found to be somebody older without a name, had none; nor did an export hold it."""
+    services, person = services_with_somebody(GalleryResponse(success=False, unknown=True))
+    services._manager.know(["ada", "bob"])
+    services._set_name(SetNameRequest(id="bob", name="Bob"))
+    services._merge(MergeRequest(id="ada", other="bob"))
+    services._merge(MergeRequest(id="ada", other=person))
+    listed = services._list_known(None)
+    assert dict(zip(listed.ids, listed.names))["ada"] == "Bob"
+    for known_as in ("ada", "bob", person):
+        exported = json.loads(services._export(ExportRequest(id=known_as)).data)["persons"]
+        assert {record["id"]: record["name"] for record in exported} == {"ada": "", "bob": "Bob"}
+    services._split(SplitRequest(id="bob"))
+    listed = services._list_known(None)
+    assert [dict(zip(listed.ids, listed.names))[name] for name in ("ada", "bob")] == ["", "Bob"]
+
+
+def test_who_is_forgotten_by_an_anonymous_id_is_forgotten_as_the_known_person_too(at_two):
+    services, person = services_with_somebody(GalleryResponse(success=True))
+    services._manager.know(["ada"])
+    services._merge(MergeRequest(id="ada", other=person))
+    assert services._forget(ForgetRequest(id=person)).success
+    assert services._register.records == [] and "ada" not in services._manager.snapshot(2.0).known
+    assert {call.args for call in services._galleries.call.call_args_list} == {("forget", "ada"), ("forget", person)}
+
+
+def test_an_export_holds_what_recognisers_keep_under_all_ids_of_a_human(at_two):
+    services, _ = services_with_somebody(GalleryResponse())
+    services._manager.know(["ada", "bob"])
+    services._merge(MergeRequest(id="ada", other="bob"))
+    services._galleries.call = lambda command, person: [GalleryAnswer("/faces/gallery", GalleryResponse(
+        success=True, data=json.dumps({"id": person, "templates": 5})))]
+    exported = json.loads(services._export(ExportRequest(id="ada")).data)["galleries"]
+    assert exported == {"/faces/gallery": {"id": "ada", "templates": 5, "merged": [{"id": "bob", "templates": 5}]}}
 
 
 def test_the_stamps_of_people_are_those_of_the_images_and_do_not_go_back(monkeypatch):

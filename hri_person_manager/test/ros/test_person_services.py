@@ -179,13 +179,16 @@ class TestPersonServices(unittest.TestCase):
         alias = Latest("/humans/persons/cat/alias", String)
         body = Latest("/humans/persons/dan/body_id", String)
         face = Latest("/humans/persons/dan/face_id", String)
+        self.assertTrue(self.call("set_name", SetName, "cat", "Cat").success)
+        name = Latest("/humans/persons/dan/name", String)
         self.assertTrue(self.call("merge", Merge, "dan", "cat").success)
-        self.wait_for(lambda: self.tracked.value.ids == ["dan"], "one person")
+        self.wait_for(lambda: self.tracked.value.ids == ["dan"] and name.data == "Cat", "one person, with the name")
         self.wait_for(lambda: alias.data == "dan" and face.data == self.face and body.data == "b" + self.face,
                       "everything is dan's")
         self.assertTrue(self.call("split", Split, "cat").success)
         self.wait_for(lambda: sorted(self.tracked.value.ids) == ["cat", "dan"] and alias.data == "", "two again")
-        for topic in (alias, body, face):
+        self.wait_for(lambda: name.data == "", "only cat has the name")
+        for topic in (alias, body, face, name):
             topic.close()
 
     def test_with_a_person_go_the_other_ids_of_that_human(self):

@@ -139,6 +139,24 @@ def test_forgetting_takes_aliases_along_and_leaves_the_others():
     assert not shelf.records
 
 
+def test_what_was_said_of_somebody_merged_is_said_of_whom_all_see():
+    people, _ = register()
+    people.seen(["ann", "bob", "cat"], 1.0)
+    people.set_name("bob", "Bob")
+    people.set_native_language("cat", "fr")
+    assert people.said_of("ann") == people.said_of("nobody") == ("", "")
+    people.set_alias("bob", "ann")
+    assert people.said_of("ann") == ("Bob", "") and people.said_of("ann", ["cat"]) == ("Bob", "fr")
+    people.set_name("ann", "Ann")
+    assert people.said_of("ann") == ("Ann", "") and people.said_of("bob") == ("Bob", "")
+    people.set_name("ann", "")
+    people.set_alias("bob", "")
+    assert people.said_of("ann") == ("", "")
+    people.set_alias("bob", "ann")
+    people.forget("bob")
+    assert people.said_of("ann") == ("", "")
+
+
 def test_nobody_is_an_alias_of_the_empty_id():
     book, _ = register()
     book.seen(["ann", "bob"], 6.0)

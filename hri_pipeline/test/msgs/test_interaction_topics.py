@@ -67,6 +67,22 @@ def test_topics_that_could_not_be_opened_are_tried_again(topics):
     wait_for(lambda: ("first", ENGAGEMENT, Level.ENGAGED) in topics._publishers.published, 5, "what was told before")
 
 
+def test_each_stamp_has_one_result_also_when_the_next_image_comes_meanwhile(monkeypatch):
+    """People are taken at the newest stamp, which may be newer than the one that the cycle began with."""
+    monkeypatch.setattr(module.rospy, "get_time", lambda: 102.0)
+    node = InteractionsNode.__new__(InteractionsNode)
+    for name in ("_people", "_frame", "_gazes", "_engagement", "_topics", "_publish", "_times", "_group", "_rest",
+                 "_watch_clock"):
+        setattr(node, name, MagicMock())
+    node._settings, node._last, node._frame.robot = SimpleNamespace(rate=15.0), module.genpy.Time(), None
+    node._frame_name = node._frame.name
+    node._people.take.return_value = SimpleNamespace(stamp=genpy.Time(101), people=MagicMock(), unplaced=[])
+    for newest in (100, 101, 101):
+        node._people.stamp = genpy.Time(newest)
+        node._cycle()
+    assert [call.args[0] for call in node._publish.call_args_list] == [genpy.Time(101)]
+
+
 @pytest.mark.parametrize("passed, ends", [(0.0, False), (5.0, True)])
 def test_who_interacts_goes_on_while_time_stands_still(passed, ends, monkeypatch):
     """A bag that is paused, here for an hour of the wall's clock."""

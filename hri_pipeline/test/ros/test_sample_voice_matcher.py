@@ -8,7 +8,7 @@ import unittest
 import rospy
 import rostest
 
-from hri_msgs.msg import IdsMatch
+from hri_msgs.msg import IdsList, IdsMatch
 
 WAIT_S = 60.0
 TURNS = 4
@@ -30,6 +30,8 @@ class TestSampleVoiceMatcher(unittest.TestCase):
             elif matched.get(message.id1) == message.id2:
                 del matched[message.id1]
 
+        seen = []
+        rospy.Subscriber("/humans/faces/tracked", IdsList, lambda message: seen.append(message.header.stamp))
         rospy.Subscriber("/humans/candidate_matches", IdsMatch, on_match)
         rospy.Subscriber("/sample_conversation/speaker", IdsMatch, on_speaker)
         end = time.monotonic() + WAIT_S
@@ -40,6 +42,7 @@ class TestSampleVoiceMatcher(unittest.TestCase):
         wrong = sum(turn["found"] not in (None, turn["face"]) for turn in turns[:TURNS])
         self.assertGreaterEqual(right, TURNS - 1, turns)
         self.assertLessEqual(wrong, 1, turns)
+        self.assertLess(abs((rospy.Time.now() - seen[-1]).to_sec()), 3.0, "the list of faces is as old as the node")
 
 
 if __name__ == "__main__":

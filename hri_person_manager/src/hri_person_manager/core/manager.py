@@ -202,7 +202,8 @@ class PersonManager:
 
     def representative(self, person_id: str) -> str:
         """Return the person that stands for this one when all are there with whom it is joined."""
-        return self._merges.representative_of_all(person_id, self._rank)
+        alias = self._table.aliases.get(person_id)
+        return self._merges.representative_of_all(alias.target if alias is not None else person_id, self._rank)
 
     def is_permanent(self, person_id: str) -> bool:
         """Tell whether a person is known by more than its present features."""

@@ -365,6 +365,14 @@ class Snapshot(NamedTuple):
     tracked: Tuple[str, ...]
     known: Tuple[str, ...]
 
+    def merged(self) -> Dict[str, List[str]]:
+        """Return the ids that were merged, by the person who stands for them."""
+        found: Dict[str, List[str]] = {}
+        for state in self.persons:
+            if state.alias:
+                found.setdefault(state.alias, []).append(state.id)
+        return found
+
 
 class _PublishedEntry(NamedTuple):
     """One person of the table: who stands for it, and whom it stands for, itself first; nobody when it is an alias."""

@@ -186,6 +186,7 @@ class PersonRegister:
         self._gone: List[str] = []
         self._records: Dict[str, PersonRecord] = {}
         self._demographics: Dict[str, DemographicsFusion] = {}
+        self._merged: Optional[Dict[str, List[str]]] = None      # ids by the person they were merged into
         for record in store.load_records() if store is not None else ():
             self._records[record.id] = record
             self._demographics[record.id] = DemographicsFusion(record.demographics)
@@ -253,6 +254,19 @@ class PersonRegister:
         for person_id in gone:
             self._drop(person_id)
         return gone
+
+    def said_of(self, person_id: str, merged: Iterable[str] = ()) -> Tuple[str, str]:
+        """Return name and native language of a person, empty where nobody has told them; what is not told of the person
+        itself is that of those merged into it, by the register or as `merged` names them."""
+        if self._merged is None:
+            self._merged = {}
+            for record in self._records.values():
+                if record.alias:
+                    self._merged.setdefault(record.alias, []).append(record.id)
+        ids = (person_id, *sorted({*merged, *self._merged.get(person_id, ())}))
+        said = [self._records[one] for one in ids if one in self._records]
+        return (next((record.name for record in said if record.name), ""),
+                next((record.native_language for record in said if record.native_language), ""))
 
     def set_name(self, person_id: str, name: str) -> None:
         """Give a person a name; an empty one takes it away. RegisterError for an unknown id or an illegal name."""
@@ -362,6 +376,7 @@ class PersonRegister:
         with self._lock:
             self._change = RecordChange(everybody=True)
         self._records.clear()
+        self._merged = None
         self._demographics.clear()
         self._borrowed.clear()
         return count
@@ -385,6 +400,7 @@ class PersonRegister:
         return record
 
     def _drop(self, person_id: str) -> None:
+        self._merged = None
         self._records.pop(person_id, None)
         self._demographics.pop(person_id, None)
 
@@ -397,6 +413,8 @@ class PersonRegister:
                 raise RegisterError(_BORROWED.format(record.id))
             return
         self._records[record.id] = record
+        if record.alias != (before.alias if before is not None else ""):
+            self._merged = None
         with self._lock:
             self._change.records[record.id] = record
 

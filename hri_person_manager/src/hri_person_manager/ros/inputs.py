@@ -25,6 +25,7 @@ _OTHERS_S = 5.0     # a list comes once a second
 LAG_S = 0.25        # for which places wait for the transforms of a camera that moves
 GRACE_S = 2.0       # wall time in which the transforms may still be on their way when everything starts
 _REMEMBERED_SENSORS = 50
+_LATE_S = (0.2, 0.5)    # by which transforms may be behind: beyond the first nothing is foreseen; each covers 0.35 s
 _MISSED_S = 10.0    # wall time after which a sensor that nothing comes of is no longer told
 ALONG = 0.7         # cosine of an angle up to which a head points along an axis
 AS_SENSOR = 0.94    # the same between axes of a sensor and of the reference frame: fewer robots look up so steeply
@@ -106,6 +107,11 @@ class TfInput:
         """Return the pose of a sensor frame in the reference frame at `stamp`, else the latest; None without any."""
         return self._robot.lookup(sensor, stamp)
 
+    def is_late(self, sensor: str, stamp: genpy.Time) -> bool:
+        """Tell whether the transforms of a sensor that moves are so far behind that its pose at `stamp` is a guess."""
+        seconds = stamp.to_sec()
+        return seconds > 1.0 and any(self._robot.lags(sensor, genpy.Time.from_sec(seconds - late)) for late in _LATE_S)
+
     def between(self, target: str, frame: str, stamp: genpy.Time) -> Optional[Pose]:
         """Return the pose of a frame of the robot in another one, as lookup() does."""
         return self._robot.between(target, frame, stamp)
@@ -180,6 +186,7 @@ class ReferenceFrame:
         self._tf_input = tf_input
         self._missing: Dict[str, Tuple[float, float]] = {}      # sensor: since when, and when it was missed last
         self._warned: Set[str] = set()
+        self._late: Dict[str, Tuple[float, float]] = {}         # the same of sensors whose transforms come late
         self._camera_votes, self._is_camera, self._camera_told, self._camera = 0, False, False, ""
         self._last: Tuple[str, genpy.Time, float, Optional[Pose]] = ("", genpy.Time(), 0.0, None)
 
@@ -188,6 +195,13 @@ class ReferenceFrame:
         """Return the sensor frames in use from which nothing leads to the reference frame."""
         now = time.monotonic()
         return {sensor for sensor, (_, last) in list(self._missing.items()) if now - last < _MISSED_S}
+
+    @property
+    def late(self) -> Set[str]:
+        """Return the sensors that move and whose transforms come too late to tell where people are."""
+        now = time.monotonic()
+        return {sensor for sensor, (since, last) in list(self._late.items())
+                if now - last < _MISSED_S and last - since > GRACE_S}
 
     @property
     def frame(self) -> str:
@@ -207,6 +221,8 @@ class ReferenceFrame:
                 self._miss(pose.sensor)
             else:
                 self._missing.pop(pose.sensor, None)
+                if self._tf_input.is_late(pose.sensor, stamp):
+                    _note(self._late, pose.sensor)
         if sensor is None:
             # Faces and bodies come in the optical frame of their camera, whatever it is called.
             return Place(pose.sensor, pose.pose, seconds, stamp, of_camera=pose.source != PlaceSource.VOICE)
@@ -239,16 +255,20 @@ class ReferenceFrame:
             rospy.logwarn("%s", self.problem)
 
     def _miss(self, sensor: str) -> None:
-        now = time.monotonic()
-        if sensor not in self._missing and len(self._missing) >= _REMEMBERED_SENSORS:
-            return
-        since, last = self._missing.get(sensor, (now, now))
-        since = since if now - last < _MISSED_S else now
-        self._missing[sensor] = since, now
-        if sensor not in self._warned and now - since > GRACE_S:
+        _note(self._missing, sensor)
+        since, last = self._missing.get(sensor, (0.0, 0.0))
+        if sensor not in self._warned and last - since > GRACE_S:
             self._warned.add(sensor)
             rospy.logwarn(
                 "no transform leads from %s to the reference frame %s: persons are placed relative to %s and "
                 "move with it. Start what publishes the position of the robot (localisation, or "
                 "static_transform_publisher from %s), or set the parameter /humans/reference_frame to a frame "
                 "that exists, for example odom or base_link.", sensor, self._frame, sensor, self._frame)
+
+
+def _note(times: Dict[str, Tuple[float, float]], sensor: str) -> None:
+    """Note that something is so of a sensor now: since when (wall time), and when it was last."""
+    now = time.monotonic()
+    if sensor in times or len(times) < _REMEMBERED_SENSORS:
+        since, last = times.get(sensor, (now, now))
+        times[sensor] = since if now - last < _MISSED_S else now, now

@@ -137,6 +137,10 @@ class ManagerDiagnostics:
 
     def _location(self) -> None:
         unconnected, text = sorted(self._reference.unconnected), self._reference.problem
+        late = sorted(self._reference.late)
+        if late:
+            text = ("transforms of %s, which moves, come later than people by 0.2 s and more: people are placed by "
+                    "where it was; publish them sooner, and by the images' clock" % ", ".join(late))
         if unconnected:
             text = "no transform from %s to %s, see /humans/reference_frame" % (", ".join(unconnected),
                                                                                 self._reference.frame)

@@ -237,19 +237,27 @@ class PersonServices:
 
     def _set_name(self, request: SetNameRequest) -> SetNameResponse:
         with self._lock:
-            self._admit(request.id)
-            self._register.set_name(request.id, request.name)
-            self._changed()
-        return SetNameResponse(True, "{} has {} name".format(request.id, "a" if request.name else "no"))
+            person_id = self._say(self._register.set_name, request.id, request.name.strip())
+            name, _ = self._register.said_of(person_id)
+        return SetNameResponse(True, "{} has {} name".format(person_id, "a" if name else "no"))
 
     def _set_native_language(self, request: SetNativeLanguageRequest) -> SetNativeLanguageResponse:
         with self._lock:
-            self._admit(request.id)
-            self._register.set_native_language(request.id, request.language)
-            record = self._register.get(request.id)
-            self._changed()
-        return SetNativeLanguageResponse(True, "native language of {}: {}".format(
-            request.id, record.native_language if record and record.native_language else "not known"))
+            person_id = self._say(self._register.set_native_language, request.id, request.language)
+            _, language = self._register.said_of(person_id)
+        return SetNativeLanguageResponse(True, "native language of {}: {}".format(person_id, language or "not known"))
+
+    def _say(self, tell: Callable[[str, str], None], known_as: str, what: str) -> str:
+        """Tell the register something of the person whom an id, perhaps an alias, stands for; returns that person's id.
+        Nothing is told of all ids of that human, else what was said of an alias would be left."""
+        person_id = self._manager.representative(known_as)
+        self._admit(person_id)
+        tell(person_id, what)
+        for other in () if what else self._one_human(person_id):
+            if other in self._register:
+                tell(other, what)
+        self._changed()
+        return person_id
 
     def _merge(self, request: MergeRequest) -> MergeResponse:
         with self._lock:
@@ -267,8 +275,10 @@ class PersonServices:
 
     def _split(self, request: SplitRequest) -> SplitResponse:
         with self._lock:
+            stood_for_it = self._manager.representative(request.id)
             self._manager.split(request.id, rospy.get_time())
-            self._register.keep_aliases([request.id], self._manager.representative, time.time())
+            self._register.keep_aliases(filter(self._manager.is_permanent, (request.id, stood_for_it)),
+                                        self._manager.representative, time.time())
             self._changed()
         return SplitResponse(True, "{} is a person of its own again".format(request.id))
 
@@ -296,13 +306,15 @@ class PersonServices:
 
     def _one_human(self, person_id: str) -> List[str]:
         """The id and the others of the same human, its alias and those whose alias it or that one is, in the store and
-        as recognisers have found; not the anonymous ones."""
+        as recognisers have found; no other anonymous ones."""
         if not person_id:       # which is the alias of whoever has none
             raise RegisterError("there is no known person ''")
         aliases = {(record.id, record.alias) for record in self._register.records if record.alias}
         aliases |= {(state.id, state.alias) for state in self._manager.snapshot(rospy.get_time()).persons
                     if state.alias and not state.anonymous}
-        human = {person_id} | {alias for other, alias in aliases if other == person_id}
+        in_use = self._manager.representative(person_id)      # also where the id was an anonymous one
+        human = {person_id} | ({in_use} if self._manager.is_permanent(in_use) else set())
+        human |= {alias for other, alias in aliases if other == person_id}
         human |= {other for other, alias in aliases if alias in human}
         return [person_id] + sorted(human - {person_id})
 
@@ -321,10 +333,16 @@ class PersonServices:
 
     def _export(self, request: ExportRequest) -> ExportResponse:
         with self._lock:
-            records = self._register.export(request.id)
-        galleries = {answer.service: answer.data() for answer in
-                     self._galleries.call(GalleryRequest.EXPORT if request.id else GalleryRequest.LIST, request.id)
-                     if answer.response.success}
+            ids = self._one_human(request.id) if request.id else []
+            known = [person_id for person_id in ids if person_id in self._register] or [request.id]
+            records = [record for person_id in known for record in self._register.export(person_id)]
+        answers = [answer for person_id in ids or [""] for answer in
+                   self._galleries.call(GalleryRequest.EXPORT if ids else GalleryRequest.LIST, person_id)]
+        galleries: Dict[str, Any] = {}
+        for service, data in ((answer.service, answer.data()) for answer in answers if answer.response.success):
+            first = galleries.setdefault(service, data)
+            if first is not data and isinstance(first, dict):       # another id of this human
+                first.setdefault("merged", []).append(data)
         text = json.dumps({"persons": records, "galleries": galleries}, ensure_ascii=False)
         return ExportResponse(True, "{} persons".format(len(records)), text)
 
@@ -334,8 +352,9 @@ class PersonServices:
     def _enrol(self, request: EnrolRequest, is_new: bool = False) -> EnrolResponse:
         legal_name(request.name)    # before any face is learnt
         with self._lock:
+            person_id = self._manager.representative(request.id)
             state = next((state for state in self._manager.snapshot(rospy.get_time()).persons
-                          if state.id == request.id), None)
+                          if state.id == person_id), None)
         if state is None or not (state.face or state.voice):
             raise RegisterError("the person {!r} has no face that is seen now, and no voice that is heard".format(
                 request.id[:40]))
@@ -365,11 +384,12 @@ class PersonServices:
             states = {state.id: state for state in snapshot.persons}
             records = {record.id: record for record in self._register.records}
             answer = ListKnownResponse(ids=list(snapshot.known))
+            merged = snapshot.merged()
+            said = [self._register.said_of(person_id, merged.get(person_id, ())) for person_id in answer.ids]
+        answer.names, answer.native_languages = [name for name, _ in said], [language for _, language in said]
         for person_id in answer.ids:
             state, record = states.get(person_id), records.get(person_id)
             answer.aliases.append(state.alias if state else record.alias if record else "")
-            answer.names.append(record.name if record else "")
-            answer.native_languages.append(record.native_language if record else "")
             answer.anonymous.append(state.anonymous if state else False)
             answer.enrolled.append(record.enrolled if record else False)
             answer.tracked.append(person_id in snapshot.tracked)

@@ -109,6 +109,7 @@ class PersonTopics:
         self._stamp = genpy.Time()
         self._listed: Optional[Tuple[Tuple[str, ...], Tuple[str, ...]]] = None
         self._listed_at = 0.0
+        self._merged: Dict[str, List[str]] = {}
         self._problem = ""
         self._work: "queue.Queue[Optional[_Person]]" = queue.Queue()
         self._worker = threading.Thread(target=self._open_and_close, name="person topics", daemon=True)
@@ -137,6 +138,7 @@ class PersonTopics:
         """Publish the differences to the last snapshot."""
         with self._lock:
             self._latest, self._stamp = snapshot, stamp
+            self._merged = snapshot.merged()
             for state in snapshot.persons:
                 person = self._persons.get(state.id)
                 if person is None:
@@ -236,8 +238,8 @@ class PersonTopics:
     def _publish_known(self, person: _Person) -> None:
         """Publish what is known of a person beyond the present, each on a topic that is opened when it is known
         first."""
-        record, demographics = self._register.get(person.state.id), self._register.demographics(person.state.id)
-        name, language = (record.name, record.native_language) if record is not None else ("", "")
+        name, language = self._register.said_of(person.state.id, self._merged.get(person.state.id, ()))
+        demographics = self._register.demographics(person.state.id)
         for topic, value in (("name", name), ("native_language", language), ("demographics", demographics)):
             if (not value and topic not in person.known) or value == person.published.get(topic, ""):
                 continue

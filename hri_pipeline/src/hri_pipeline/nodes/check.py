@@ -199,9 +199,10 @@ class GraphProbe:
         """Return the reference frame of the nodes that run: their own parameter, else that of the whole stack."""
         placers = [other for name in map(rospy.resolve_name, _PLACERS) for other in self._stand_ins.get(name, [name])]
         for name in placers:
-            if self._node(name) == "running" and rospy.has_param(name + "/reference_frame"):
-                return str(rospy.get_param(name + "/reference_frame")).lstrip("/")
-        return str(rospy.get_param("/humans/reference_frame", "map")).lstrip("/")
+            own = rospy.get_param(name + "/reference_frame", "") if self._node(name) == "running" else ""
+            if own:
+                return str(own).lstrip("/")
+        return str(rospy.get_param("/humans/reference_frame", "") or "map").lstrip("/")
 
     def _wait(self, seconds: float) -> None:
         """Wait in wall time: the clock of the graph may stand still."""

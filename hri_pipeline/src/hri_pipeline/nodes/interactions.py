@@ -149,6 +149,7 @@ class InteractionsNode:
         with self._times("gather"):
             self._frame.begin(self._last)
             found = self._people.take(self._frame.places, self._frame.pose_at)
+        self._last = found.stamp        # a newer one, where an image has come meanwhile: it has one result, too
         if self._frame.name != self._frame_name:
             self._frame_name = self._frame.name
             self._forget()

@@ -286,7 +286,6 @@ class SampleConversationNode:
         """Play until ROS shuts down."""
         for face in self._ids:
             self._faces.open(face)
-        self._lists["faces"].set(self._ids, rospy.Time.now())
         while not self._stop.is_set():
             self._play()
 
@@ -317,6 +316,7 @@ class SampleConversationNode:
             if self._stop.is_set() or rospy.get_time() < began - 1.0:
                 return      # the clock went back
             stamp = rospy.Time.now()
+            self._lists["faces"].set(self._ids, stamp)
             tracked = self._track(heard, names, now, stamp)
             while messages and messages[0][0] <= now:
                 _, voice, speaking = messages.pop(0)

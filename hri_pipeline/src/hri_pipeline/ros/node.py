@@ -122,7 +122,10 @@ def read_parameters(table: ParameterTable[S]) -> S:
     given = rospy.get_param(namespace, {})
     if not isinstance(given, dict):
         raise ParameterError("{} is a value on the parameter server, not a set of parameters".format(namespace))
-    given = {**_shared(table), **given}
+    shared = {parameter.name: parameter for parameter in table.parameters if parameter.shared}
+    # No name, as of an argument that was left empty, is no frame: it counts as not set, unless it is the default.
+    given = {name: value for level in (_shared(table), given) for name, value in level.items()
+             if value != "" or name not in shared or shared[name].default == ""}
     try:
         return table.resolve(given)
     except ParameterError as error:
