@@ -84,6 +84,15 @@ class VoicesArrayTest(unittest.TestCase):
                              for status in message.status), LIMIT, "the mend")
         self.assertEqual(self.transforms, [])
 
+    def test_channels_in_another_order_are_told_with_one_that_fits(self):
+        talk = np.tile(speech()[RATE // 2:-2 * RATE], 4)
+        sound = np.concatenate([from_direction(POSITIONS, talk, azimuth) for azimuth in (0.3, -1.0, 2.4)])
+        self.microphone.play(sound[:, [1, 0, 2, 3]])
+        wait_for(lambda: any("does not fit ~microphone_positions" in status.message for message in list(self.states)
+                             for status in message.status), LIMIT, "the mend")
+        self.microphone.stop()
+        wait_for(lambda: not self.lists[-1].ids, LIMIT, "they are let go")
+
     def test_with_a_silent_microphone_the_others_tell_the_direction(self):
         """Its own noise was somebody at 150 degrees on the other side."""
         azimuth = math.radians(60.0)

@@ -20,6 +20,7 @@ from hri_msgs.msg import IdsMatch
 from hri_pipeline.core.asr.engines import LanguageError
 from hri_pipeline.core.asr.recognition import SpeechRecognition
 from hri_pipeline.core.audio.array import check_channels, parse_positions
+from hri_pipeline.core.audio.channel_order import order_problem
 from hri_pipeline.core.audio.own_voice import BargeInFilter, RobotSpeech, hear_humans
 from hri_pipeline.core.audio.parameters import VoicesSettings
 from hri_pipeline.core.audio.pipeline import VoiceObservation, VoicePipeline
@@ -174,6 +175,7 @@ class VoiceProcessor:
         self._barge_in: Optional[BargeInFilter] = None
         self._channels = 0
         self._broken: Tuple[int, ...] = ()
+        self._order: Tuple[int, ...] = ()
         self._speech: Optional[SpeechRecognition] = None
         self._no_speech = ""
         if settings.speech and SpeechRecognition.enabled(settings):
@@ -205,6 +207,7 @@ class VoiceProcessor:
         self._robot_input.update(rospy.get_time())
         observations = hear_humans(self._pipeline, self._robot, self._barge_in, block)
         self._end = block.stamp + len(block.samples) / RATE
+        self._check_order()
         # Most blocks complete no frame, or there are no voices.
         if observations or self._pipeline.tracked != self._present:
             self._publish(observations)
@@ -276,6 +279,8 @@ class VoiceProcessor:
         found = {"voices": (OK, "{} voices".format(len(tracked)), values), "own voice": self._robot_input.status()}
         if len(self._positions) and self._channels and not self._array_fits():
             found["voices"] = (WARN, self._misfit(), values)
+        elif self._order:
+            found["voices"] = (WARN, self._disorder(), values)
         elif self._no_speakers:
             found["voices"] = (WARN, self._no_speakers, values)
         if self._persons is not None:
@@ -346,6 +351,18 @@ class VoiceProcessor:
 
     def _array_fits(self) -> bool:
         return len(self._working()) >= 2 and len(self._positions) == self._channels
+
+    def _check_order(self) -> None:
+        """Tell once that the channels of the array do not fit its positions."""
+        order = self._barge_in.fitting_order if self._barge_in is not None else ()
+        if order != self._order:
+            self._order = order
+            if order:
+                rospy.logwarn("%s", self._disorder())
+
+    def _disorder(self) -> str:
+        channels = self._settings.microphone_channels
+        return order_problem(self._order, list(range(self._channels)) if -1 in channels else channels, self._working())
 
     def _misfit(self) -> str:
         if len(self._positions) == self._channels:

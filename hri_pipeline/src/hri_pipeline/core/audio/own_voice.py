@@ -164,6 +164,11 @@ class BargeInFilter:
         self._powers: Deque[float] = deque(maxlen=_PIECES)
         self._forget_sources()
 
+    @property
+    def fitting_order(self) -> Tuple[int, ...]:
+        """See SoundSeparator."""
+        return self._array.fitting_order
+
     def reset(self) -> None:
         """Forget the sound so far, after a gap or when time jumps."""
         self._array.reset()

@@ -19,11 +19,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import Deque, Dict, List, NamedTuple, Optional
+from typing import Deque, Dict, List, NamedTuple, Optional, Tuple
 
 import numpy as np
 
 from hri_pipeline.core.audio.array import MicrophoneArray
+from hri_pipeline.core.audio.channel_order import ChannelOrder
 from hri_pipeline.core.audio.localisation import DirectionFinder, DirectionTracker, TrackedSource
 from hri_pipeline.core.audio.parameters import ArraySettings
 from hri_pipeline.core.audio.spectra import (
@@ -154,6 +155,8 @@ class SoundSeparator:
         self._splitter = FrameSplitter(self.array.channels)
         self._noise = NoiseSpectrum(BINS, self.array.channels)
         self._finder = DirectionFinder(self.array, settings.max_sources)
+        # It outlives reset(): microphones stay where they are.
+        self._order = ChannelOrder(self.array)
         self._tracker = DirectionTracker(settings.source_birth_time, settings.source_memory, settings.max_sources)
         self._beamformers = SourceBeamformers(self.array)
         self._recent: Deque[_Frame] = deque(maxlen=int(math.ceil(settings.source_look_back * RATE / HOP)))
@@ -178,6 +181,12 @@ class SoundSeparator:
         self._sources: List[TrackedSource] = []
         self._frame = 0
         self._heard = 0
+
+    @property
+    def fitting_order(self) -> Tuple[int, ...]:
+        """For each position the index of the channel that fits there by the sound, where the channels do not fit as
+        they are; else empty."""
+        return self._order.found
 
     @property
     def sources(self) -> List[TrackedSource]:
@@ -216,6 +225,7 @@ class SoundSeparator:
     def _process_frame(self, spectrum: np.ndarray, first: int) -> None:
         bin_weights = self._noise.update(mean_power(spectrum))
         self._finder.add(spectrum, bin_weights)
+        self._order.add(spectrum, bin_weights)
         if self._frame % TRACK_EVERY == 0:
             self._track(first)
         frame = _Frame(self._frame, spectrum, self._noise.power)
