@@ -271,20 +271,54 @@ def test_who_comes_back_after_a_cut_must_be_confirmed_anew():
     assert tracker.tracks == []
 
 
-def test_who_began_where_another_one_was_hidden_yields_to_that_one_until_each_has_a_box():
-    scene, boxes = Scene([(600, 400), (720, 400)]), [box_of(600, 400), box_of(640, 400)]
-    tracker = make(scene)
+def walk_up_to_one_who_stands(scene, tracker):
+    """Returns the stamp of the next image; the second one has walked from x = 720 to 640 px, the first stands at 600.
+    """
+    scene.people = [(600, 400), (720, 400)]
     stamp = run(tracker, 0.0, 30, boxes=[box_of(600, 400), box_of(720, 400)])
     for x in range(720, 639, -5):
         scene.people = [(600, 400), (x, 400)]
         stamp = run(tracker, stamp, 1)
     assert len(tracker.published(stamp)) == 2
+    return stamp
+
+
+def test_who_began_where_another_one_was_hidden_yields_to_that_one_until_each_has_a_box():
+    scene, boxes = Scene([]), [box_of(600, 400), box_of(640, 400)]
+    tracker = make(scene)
+    stamp = walk_up_to_one_who_stands(scene, tracker)
     first, second = tracker.tracks
     second.rival = first.id
     stamp = run(tracker, stamp, 1, boxes=boxes[:1])
     assert tracker.published(stamp) == [first]
     stamp = run(tracker, stamp, 3, boxes=boxes)
     assert second.rival is None and len(tracker.published(stamp)) == 2
+
+
+def test_who_began_where_another_one_was_hidden_is_told_until_that_one_is_seen_twice():
+    """A single sight after a gap may be somebody else, and is not told: without the other one nobody would be."""
+    scene = Scene([])
+    tracker = make(scene)
+    stamp = walk_up_to_one_who_stands(scene, tracker)
+    first, second = tracker.tracks
+    scene.people = [(640, 400)]
+    stamp = run(tracker, stamp, 8, boxes=[box_of(640, 400)])
+    assert tracker.published(stamp) == [second] and first.hidden
+    scene.people, second.rival = [(600, 400), (640, 400)], first.id
+    told = []
+    for _ in range(2):
+        stamp = run(tracker, stamp, 1, boxes=[box_of(640, 400)])
+        told.append(tracker.published(stamp))
+    assert told == [[second], [first]]
+
+
+def test_who_has_walked_away_from_where_another_one_was_hidden_does_not_yield():
+    tracker = make(Scene([(300, 400), (900, 400)]))
+    stamp = run(tracker, 0.0, 30, boxes=[box_of(300, 400), box_of(900, 400)])
+    first, second = tracker.tracks
+    second.rival = first.id
+    stamp = run(tracker, stamp, 2)
+    assert tracker.published(stamp) == [first, second]
 
 
 def test_who_is_seen_now_yields_to_nobody_who_is_missed_in_this_image():

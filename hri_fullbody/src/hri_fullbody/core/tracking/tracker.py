@@ -396,14 +396,14 @@ class BodyTracker:
         order = sorted((track for track in self.tracks if track.visible or track.id in seen),
                        key=lambda track: (track.face_id not in shown_faces, track.id in missed,
                                           *track.weakness(track.id in seen, stamp)))
-        shown: Dict[str, Tuple[PoseEstimate, bool]] = {}
+        shown: Dict[str, PoseEstimate] = {}
         for track in order:
-            estimate, faced = seen.get(track.id, track.expected(stamp)), track.face_id in shown_faces
-            if not any(one_human(estimate, other) for other, its in shown.values() if not (faced and its)):
-                shown[track.id] = estimate, faced
+            estimate = seen.get(track.id, track.expected(stamp))
+            if track.face_id in shown_faces or not any(one_human(estimate, other) for other in shown.values()):
+                shown[track.id] = estimate
         back = {track.id for track in order if not track.has_gap(stamp)}
         return {track.id for track in order if track.id not in shown or (
-            track.rival in shown and track.rival in back and _at_one_place(shown[track.id][0], shown[track.rival][0]))}
+            track.rival in shown and track.rival in back and _at_one_place(shown[track.id], shown[track.rival]))}
 
     def _unhidden(self, track: BodyTrack, detection: PoseDetection, stamp: float) -> bool:
         """Tell whether nobody else is near enough to stand before this body."""
