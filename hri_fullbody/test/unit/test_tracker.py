@@ -429,6 +429,20 @@ def test_a_person_who_comes_back_in_time_has_the_same_id():
     assert confirmed(tracker) == ["b0"]
 
 
+def test_who_was_hidden_is_back_with_the_first_look_at_the_own_box():
+    """Whoever is new is looked at twice, and by the person detector, too."""
+    scene = Scene([(600, 400)])
+    tracker = make(scene, is_human=lambda image, box: False)
+    stamp = run(tracker, 0.0, 40, faces=[face_of(standing_at(600, 400), "f0")], boxes=[box_of(600, 400)])
+    scene.people = []
+    stamp = run(tracker, stamp, 12)
+    assert tracker.tracks[0].hidden
+    scene.people = [(640, 400)]
+    tracker.propose([box_of(640, 400)], (), stamp)
+    tracker.try_new(IMAGE, stamp, (), 1)
+    assert [(track.id, track.visible, track.box_confirmed) for track in tracker.tracks] == [("b0", True, True)]
+
+
 def test_two_boxes_on_one_human_give_one_body():
     tracker = make(Scene([(300, 400)]))
     boxes = [box_of(300, 400), box_of(300, 400) + np.array([0, 0, 0, -120.0]), box_of(320, 400)]

@@ -570,6 +570,19 @@ def test_a_user_who_parts_or_joins_goes_before_what_is_seen():
     assert len(room.tracked) == 1
 
 
+def test_who_is_parted_and_joined_again_by_a_user_is_placed_by_both_cameras_again():
+    room = Room(OVERLAPPING)
+    room.run(4.0, standing(3.0))
+    (person,) = room.tracked
+    sure = np.trace(room.manager.place(person).covariance)
+    room.manager.split(person, room.now)
+    first, second = room.run(3.0, standing(3.0))
+    assert np.trace(room.manager.place(first).covariance) > 2.0 * sure, "each is where one camera sees it"
+    (person, _) = room.manager.merge(first, second, room.now)
+    room.run(4.0, standing(3.0))
+    assert np.trace(room.manager.place(person).covariance) < 1.2 * sure
+
+
 def test_three_cameras():
     room = Room({"a": (0.0, 4.0, 0.0), "b": (1.0, 5.0, 0.1), "c": (2.0, 6.0, -0.1)}, 0.05)
     room.run(5.0, standing(3.0), standing(3.0, 1.2))
@@ -673,11 +686,10 @@ def test_cameras_and_names_are_bounded():
     for number in range(MAX_NAMES + 5):
         for name in ("first", "p%d" % number):
             groups.note_namer(name, "eyes")
-        groups.part("p%d" % number, "q")
         view = View(number, "left")
         view.names = frozenset(["p%d" % number])
         groups.note_names([view])
-    assert {len(kept) for kept in (groups.namers, groups.parted, groups.named_by)} == {MAX_NAMES}
+    assert len(groups.namers) == len(groups.named_by) == MAX_NAMES
     assert "first" in groups.namers, "it is said again and again"
 
 

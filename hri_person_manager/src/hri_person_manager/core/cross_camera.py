@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Callable, Container, Dict, FrozenSet, Iterable, List, Mapping, NamedTuple, Optional, Set, Tuple
+from typing import AbstractSet, Callable, Container, Dict, FrozenSet, Iterable, List, Mapping, NamedTuple, Optional, Set, Tuple
 
 import numpy as np
 
@@ -157,15 +157,15 @@ class CrossCamera:
         human.fused = (stamp, fused)
         return fused
 
-    def update(self, groups: Iterable[SensedGroup], is_split: Callable[[str, str], bool]) -> None:
+    def update(self, groups: Iterable[SensedGroup], parted: AbstractSet[FrozenSet[str]]) -> None:
         """Take who belongs together; decides who is one human, which views are held, and which are due to be told.
 
-        is_split(id, id): tells whether a user has parted two persons.
+        parted: pairs of persons whom a user has parted.
         """
         self._groups.regroup(groups)
-        for pair in self._told:
-            if is_split(*pair):
-                self._groups.part(*sorted(pair))
+        self._groups.parted = parted
+        for pair in self._told & parted:
+            self._groups.part(*sorted(pair))
         live = [view for view in self._groups.views() if self._newest - view.ended <= FRESH_S]
         self._groups.note_names(live)
         self._groups.note_two(live)
