@@ -564,6 +564,25 @@ def test_who_comes_is_looked_at_before_all_who_are_known():
     assert len(tracker.tracks) == 7
 
 
+@pytest.mark.parametrize("people, right_is_human, began, windows", [
+    ([400, 560], True, 2, 8), ([400, 560], False, 0, 10), ([400], False, 0, 3)],
+    ids=["a neighbour is human", "two screens", "a screen"])
+def test_a_box_beside_others_has_one_more_chance_in_the_same_image(people, right_is_human, began, windows):
+    """Who is not seen to be a human is one where another human is known beside."""
+    scene = Scene([(900, 400)])
+    tracker = make(scene, is_human=lambda image, box: box[0] > (450 if right_is_human else 800))
+    stamp = run(tracker, 0.0, 40, boxes=[box_of(900, 400)])
+    scene.people = []
+    stamp = run(tracker, stamp, 8)
+    assert tracker.tracks[0].hidden, "who may come back: nothing that was refused is passed over"
+    tracker.follow(IMAGE, stamp)
+    known = tracker.windows
+    scene.people = [(x, 400) for x in people]
+    tracker.propose([box_of(x, 400) for x in people], [], stamp)
+    tracker.try_new(IMAGE, stamp, [], 40)
+    assert (len(tracker.tracks) - 1, tracker.windows - known) == (began, windows)
+
+
 def test_a_screen_on_which_something_moves_keeps_nobody_beside_it_from_being_found_in_slow_images():
     """Its box comes first, and each time the second look sees no human."""
     tracker = make(Scene([(400, 400), (560, 400)]), is_human=lambda image, box: box[0] > 450)

@@ -121,8 +121,8 @@ class Merges:
         return changed
 
     def report(self, first: str, second: str, likelihood: float, now: float) -> bool:
-        """Do as set() for what a match says at `now` (s), as long as it says so: those whom a user has parted are parted
-        again after it. It waits where matches join and part too often, unless it parts."""
+        """Do as set() for what a match says at `now` (s), but those whom a user has parted are parted again after it.
+        It waits where matches join and part too often, unless it parts."""
         pair = _pair(first, second)
         if likelihood >= self.threshold and not self._is_joined(pair) and self._limit.holds((pair,), now):
             self._held[pair] = likelihood
