@@ -609,6 +609,18 @@ def test_three_cameras():
     assert [len(found) for found in owners] == [1, 1]
 
 
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_whom_a_user_parts_from_two_others_leaves_these_one(number):
+    room = Room({"a": (0.0, 4.0, 0.0), "b": (1.0, 5.0, 0.1), "c": (2.0, 6.0, -0.1)})
+    room.run(5.0, standing(3.0))
+    seen = sorted(state.id for state in room.manager.snapshot(room.now).persons)
+    assert len(seen) == 3 and len(room.tracked) == 1
+    room.manager.split(seen[number], room.now)
+    room.ids.clear()
+    room.run(4.0, standing(3.0))
+    assert {len(ids) for ids in room.ids} == {2} and seen[number] in room.tracked
+
+
 def test_nothing_happens_with_one_camera_without_reference_frame_or_when_switched_off():
     for room in (Room({"left": (0.0, 6.0, 0.0)}), Room(OVERLAPPING, frame="left"),
                  Room(OVERLAPPING, cross_camera=False)):

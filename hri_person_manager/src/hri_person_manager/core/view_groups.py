@@ -377,12 +377,15 @@ class ViewGroups:
         return kept
 
     def part(self, first: str, second: str) -> None:
-        """Make two humans of two persons, as a user has."""
+        """Make two humans of two persons, as a user has: who is parted from more of the others goes."""
         for human in list(self.all.values()):
             if first in human.persons and second in human.persons:
-                for view in [view for view in human.views if view.person == second]:
+                parted = {one: sum(frozenset((one, other)) in self.parted for other in human.persons)
+                          for one in (second, first)}
+                gone = max(parted, key=parted.__getitem__)
+                for view in [view for view in human.views if view.person == gone]:
                     self.take_out(view)
-                human.persons.pop(second, None)
+                human.persons.pop(gone, None)
 
     # ----- who are two
 
