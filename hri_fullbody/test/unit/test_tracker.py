@@ -564,23 +564,34 @@ def test_who_comes_is_looked_at_before_all_who_are_known():
     assert len(tracker.tracks) == 7
 
 
-@pytest.mark.parametrize("people, right_is_human, began, windows", [
-    ([400, 560], True, 2, 8), ([400, 560], False, 0, 10), ([400], False, 0, 3)],
-    ids=["a neighbour is human", "two screens", "a screen"])
-def test_a_box_beside_others_has_one_more_chance_in_the_same_image(people, right_is_human, began, windows):
-    """Who is not seen to be a human is one where another human is known beside."""
+@pytest.mark.parametrize("people, right_is_human, hidden, began, windows", [
+    ([400, 560], True, True, 2, 8), ([400, 560], True, False, 2, 8), ([400, 560], False, True, 0, 10),
+    ([400], False, True, 0, 3)], ids=["a neighbour is human", "and nobody hidden", "two screens", "a screen"])
+def test_a_box_beside_others_has_one_more_chance_in_the_same_image(people, right_is_human, hidden, began, windows):
+    """Who is not seen to be a human is one where another human is known beside. While somebody is hidden, who may come
+    back there, nothing that was refused is passed over."""
     scene = Scene([(900, 400)])
     tracker = make(scene, is_human=lambda image, box: box[0] > (450 if right_is_human else 800))
     stamp = run(tracker, 0.0, 40, boxes=[box_of(900, 400)])
-    scene.people = []
+    scene.people = [] if hidden else scene.people
     stamp = run(tracker, stamp, 8)
-    assert tracker.tracks[0].hidden, "who may come back: nothing that was refused is passed over"
+    assert tracker.tracks[0].hidden == hidden
     tracker.follow(IMAGE, stamp)
     known = tracker.windows
-    scene.people = [(x, 400) for x in people]
+    scene.people += [(x, 400) for x in people]
     tracker.propose([box_of(x, 400) for x in people], [], stamp)
     tracker.try_new(IMAGE, stamp, [], 40)
     assert (len(tracker.tracks) - 1, tracker.windows - known) == (began, windows)
+
+
+def test_a_box_beside_one_with_a_face_needs_no_look_of_the_detector():
+    tracker, boxes = make(Scene([(400, 400), (560, 400)]), is_human=lambda image, box: False), [
+        box_of(400, 400), box_of(560, 400)]
+    face = face_of(standing_at(560, 400), "f0")
+    tracker.follow(IMAGE, 0.0, [face])
+    tracker.propose(boxes, [face], 0.0)
+    tracker.try_new(IMAGE, 0.0, [face], 2)
+    assert [track.face_id for track in tracker.tracks] == [None] and tracker.windows == 2
 
 
 def test_a_screen_on_which_something_moves_keeps_nobody_beside_it_from_being_found_in_slow_images():

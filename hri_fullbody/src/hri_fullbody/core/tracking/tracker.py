@@ -455,8 +455,8 @@ class BodyTracker:
 
     def _stays_refused(self, candidate: BodyCandidate, box: np.ndarray, image: np.ndarray, stamp: float) -> bool:
         """Tell whether a person's box was refused and nothing has changed; who is hidden may come back there."""
-        return (candidate.first is None and all(track.visible for track in self.tracks)
-                and not self._accompanied(candidate, box, stamp) and self._refused.contain(image, box))
+        return (all(track.visible for track in self.tracks) and not self._accompanied(candidate, box, stamp)
+                and self._refused.contain(image, box))
 
     def _mirrored_too(self, image: np.ndarray, estimate: PoseEstimate, faces: Sequence[FaceBox], stamp: float) -> bool:
         """Tell whether the network sees a body at the same place in mirrored windows of several sizes: of a human it
