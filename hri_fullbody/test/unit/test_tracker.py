@@ -584,6 +584,24 @@ def test_a_box_beside_others_has_one_more_chance_in_the_same_image(people, right
     assert (len(tracker.tracks) - 1, tracker.windows - known) == (began, windows)
 
 
+class Flag(Scene):
+    """What the network makes a body of, and another one when it is mirrored."""
+
+    def estimate(self, image, window, hidden=(), shown=None, mirrored=False):
+        found = super().estimate(image, window, hidden, shown, mirrored)
+        return standing_at(found.centre[0] + 150.0, found.centre[1]) if mirrored else found
+
+
+@pytest.mark.parametrize("scene, sure, began", [(Flag, False, 0), (Flag, True, 1), (Scene, False, 1)],
+                         ids=["a flag", "of which the detector is sure", "a human"])
+def test_of_what_the_detector_is_unsure_the_network_must_see_the_same_body_when_it_is_mirrored(scene, sure, began):
+    tracker, box = make(scene([(400, 400)])), box_of(400, 400)
+    tracker.follow(IMAGE, 0.0)
+    tracker.propose([box] if sure else [], [], 0.0, [box])
+    tracker.try_new(IMAGE, 0.0, [], 9)
+    assert len(tracker.tracks) == began
+
+
 def test_a_box_beside_one_with_a_face_needs_no_look_of_the_detector():
     tracker, boxes = make(Scene([(400, 400), (560, 400)]), is_human=lambda image, box: False), [
         box_of(400, 400), box_of(560, 400)]

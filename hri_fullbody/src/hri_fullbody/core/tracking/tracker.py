@@ -472,8 +472,7 @@ class BodyTracker:
 
     def _returns(self, image: np.ndarray, estimate: PoseEstimate, stamp: float, faces: Sequence[FaceBox]) -> bool:
         """Give what a person's box shows at once to the hidden body that it fits; tell whether there is one."""
-        hidden = [track for track in self.tracks if not track.visible]
-        if not hidden or not is_sound(estimate, self._min_score):
+        if all(track.visible for track in self.tracks):
             return False
         detection = self._make_detection(image, estimate, None, stamp)
         if detection is None or nearest_face(detection, faces) is not None or any(
