@@ -491,6 +491,29 @@ def test_neighbours_heads_are_hidden_so_that_each_face_gets_its_own_body():
         assert face.distance(track.estimate.nose) < 0.1
 
 
+class Heads(Scene):
+    """Notes how many heads are hidden, by the place of the window."""
+
+    def estimate(self, image, window, hidden=(), shown=None, mirrored=False):
+        self.hidden[round(window.centre[0], -2)] = len(hidden)
+        return super().estimate(image, window, hidden, shown, mirrored)
+
+
+@pytest.mark.parametrize("face, lost, heads", [(None, False, 1), (1100, False, 0), (1100, True, 1), (600, False, 1)],
+                         ids=["nobody has a face", "faces are seen", "who is lost", "the other one has a face"])
+def test_the_head_of_another_body_is_hidden_only_where_no_faces_are_seen_or_from_who_is_lost(face, lost, heads):
+    """It is less sure than a face: with the own head hidden the network makes a second body of a trunk."""
+    scene = Heads([(300, 400), (600, 400)])
+    scene.hidden = {}
+    tracker, faces = make(scene), [] if face is None else [face_of(standing_at(face, 400), "f0")]
+    stamp = run(tracker, 0.0, 30, faces, [box_of(300, 400), box_of(600, 400)])
+    if lost:
+        scene.people = [(600, 400)]
+        stamp = run(tracker, stamp, 1, faces)
+    tracker.follow(IMAGE, stamp, faces)
+    assert scene.hidden[300.0] == heads
+
+
 def test_a_captured_body_is_sought_again_below_its_face():
     scene = Scene([(300, 400), (420, 400)])
     tracker = make(scene)
