@@ -55,6 +55,32 @@ def test_who_sits_and_a_face_tell_the_tilt_less_surely(body, share):
     assert off(ground, pitch) < share * before and ground.camera_height("x") is None
 
 
+def learnt(points, confidence=SURE):
+    ground = GroundPlane()
+    ground.add("a", points, confidence, 0.0)
+    ground.solve(0.0)
+    return ground.up
+
+
+def test_of_who_sits_only_legs_that_are_seen_to_be_bent_help_the_trunk():
+    """The back leans by 20 degrees; the shanks of who sits make up for that."""
+    sits = seen(people.seated(-20.0))
+    trunk = sits.copy()
+    trunk[[9, 10, 12, 13]] = np.nan
+    alone = learnt(trunk)
+    assert not learnt(sits) == pytest.approx(alone, abs=0.02)
+    guessed = SURE.copy()
+    guessed[10] = 0.2
+    stretched, lifted = sits.copy(), sits.copy()
+    stretched[10] = 2.0 * sits[9] - sits[8]
+    lifted[[10, 13], 1] = sits[[9, 12], 1] - 0.3
+    for points, confidence in ((sits, guessed), (stretched, SURE), (lifted, SURE)):
+        assert learnt(points, confidence) == pytest.approx(alone)
+    unknown = sits.copy()
+    unknown[1] = np.nan
+    assert learnt(unknown) == pytest.approx(GroundPlane().up), "without the neck there is no trunk"
+
+
 @pytest.mark.parametrize("trunk", [-30.0, 30.0])
 def test_who_was_seen_to_stand_tells_the_vertical_when_sitting_down_with_a_bent_back(trunk):
     ground, pitch = GroundPlane(), np.radians(10.0)

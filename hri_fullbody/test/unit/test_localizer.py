@@ -175,6 +175,42 @@ def test_a_depth_image_gives_distance_and_size(size):
     assert np.nanmax(np.linalg.norm(body.keypoints_3d[8:14] - points[[24, 26, 28, 23, 25, 27]], axis=1)) < 0.12
 
 
+def test_a_depth_image_measures_a_body_whatever_the_floor_says():
+    """The size that it has told is used where the depth image does not show the body any more."""
+    position, places = np.array([0.1, 0.1, 2.4]), []
+    depth = depth_of(STANDING * 1.1 + position)
+    for around in ({}, dict(up=UP, camera_height=0.1 + 0.82 * 0.85 + 0.07)):
+        _, _, shape = observe(1.1, position, frames=15, depth=depth, **around)
+        assert shape.size is None, "the bones that are fitted tell it better"
+        body, _, _ = observe(1.1, position, frames=15, shape=shape, start=2.0)
+        places.append(body.pose.translation)
+    assert places[0] == pytest.approx(position, abs=0.06) and places[1] == pytest.approx(places[0], abs=1e-6)
+
+
+def test_a_hand_is_at_its_depth_where_the_depth_image_shows_the_trunk():
+    points = STANDING + np.array([0.0, 0.0, 2.5])
+    x, y = CAMERA.project(points)[15].astype(int)
+    for behind, trunk in ((5.0, True), (np.nan, False)):
+        depth = depth_of(points) if trunk else np.full((720, 1280), behind, np.float32)
+        depth[y - 10:y + 10, x - 10:x + 10] = points[15, 2] - 0.2 - 0.03
+        body, _, shape = observe(1.0, (0.0, 0.0, 2.5), depth=depth)
+        assert shape.by_depth == trunk
+        assert body.keypoints_3d[7, 2] == pytest.approx(points[15, 2] - (0.2 if trunk else 0.0), abs=0.03)
+
+
+def test_who_comes_nearer_is_followed_faster_with_a_depth_image():
+    lags = []
+    for given in (True, False):
+        shape = BodyLocalizer()
+        for index in range(20):
+            distance = 3.5 - 0.1 * index
+            points = STANDING + np.array([0.0, 0.0, distance])
+            body, _, _ = observe(1.0, (0.0, 0.0, distance), shape=shape, start=index / 15.0,
+                                 depth=depth_of(points) if given else None)
+        lags.append(body.pose.translation[2] - distance)
+    assert lags[0] < 0.06 and lags[0] < 0.7 * lags[1]
+
+
 @pytest.mark.parametrize("period", [1, 3])
 def test_noise_and_gaps_of_a_depth_image_do_not_make_a_body_jump(period):
     random = np.random.default_rng(3)

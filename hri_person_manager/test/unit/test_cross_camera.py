@@ -34,10 +34,10 @@ RATE = 15.0
 class Room:
     """Cameras that each see the people between two x, as faces, with noise and an error of the calibration."""
 
-    def __init__(self, views, noise=0.03, seed=1, frame="map", clothes=None, **given):
+    def __init__(self, views, noise=0.03, seed=1, frame="map", clothes=None, farther=None, **given):
         """views: {camera: (x from, x to, error of x)}, m. clothes: {(camera, person): colours}; people are bodies
-        then."""
-        self._clothes = clothes or {}
+        then. farther: {camera: how many times as far away as they are it takes all people to be}."""
+        self._clothes, self._farther = clothes or {}, farther or {}
         self._of = (Kind.BODY, PlaceSource.HEAD) if clothes else (Kind.FACE, PlaceSource.FACE)
         numbers = itertools.count(1)
         self.manager = PersonManager(PERSON_MANAGER_PARAMETERS.resolve(given), lambda: "a%04d" % next(numbers))
@@ -79,9 +79,10 @@ class Room:
             self._faces.setdefault(key, "f%03d" % next(self._visits) if key not in self._faces else "")
         self.manager.on_tracked(self._of[0], sorted(self._faces.values()), self.now)
         for key, point in seen.items():
-            position = np.array([*point, 1.6]) + self._chance.normal(0.0, self._noise, 3)
+            position, origin = np.array([*point, 1.6]) + self._chance.normal(0.0, self._noise, 3), self._origin(key[0])
+            position = origin + self._farther.get(key[0], 1.0) * (position - origin)
             self.manager.on_place(self._of[1], self._faces[key],
-                                  Place(self.frame, Pose(np.eye(3), position), self.now, origin=self._origin(key[0])),
+                                  Place(self.frame, Pose(np.eye(3), position), self.now, origin=origin),
                                   self.now, key[0])
             if key in self._clothes:
                 self.manager.on_appearance(self._faces[key], self._clothes[key])
@@ -570,6 +571,35 @@ def test_a_user_who_parts_or_joins_goes_before_what_is_seen():
     assert len(room.tracked) == 1
 
 
+def test_who_is_parted_and_joined_again_by_a_user_is_placed_by_both_cameras_again():
+    room = Room(OVERLAPPING)
+    room.run(4.0, standing(3.0))
+    (person,) = room.tracked
+    sure = np.trace(room.manager.place(person).covariance)
+    room.manager.split(person, room.now)
+    first, second = room.run(3.0, standing(3.0))
+    assert np.trace(room.manager.place(first).covariance) > 2.0 * sure, "each is where one camera sees it"
+    (person, _) = room.manager.merge(first, second, room.now)
+    room.run(4.0, standing(3.0))
+    assert np.trace(room.manager.place(person).covariance) < 1.2 * sure
+
+
+def test_who_is_seen_by_one_of_several_cameras_is_where_that_one_says():
+    room = Room(APART)
+    first, _ = room.run(2.0, standing(1.0), standing(6.0))
+    position, stamp = np.array([1.2, 0.1, 1.6]), room.now + 0.05
+    room.manager.on_place(PlaceSource.FACE, room.face("left", 0), Place(
+        "map", Pose(np.eye(3), position), stamp, origin=room._origin("left")), stamp, "left")
+    assert room.manager.place(first).pose.translation == pytest.approx(position)
+
+
+def test_whose_distance_several_cameras_have_told_is_at_it_where_one_sees_on():
+    room = Room(OVERLAPPING, farther={"right": 1.15})
+    room.run(6.0, standing(3.0))
+    (person,) = room.run(4.0, walking(3.0, 0.7, since=room.now, stop=5.0))
+    assert room.manager.place(person).pose.translation[1] == pytest.approx(0.0, abs=0.2), "not 0.45 m off"
+
+
 def test_three_cameras():
     room = Room({"a": (0.0, 4.0, 0.0), "b": (1.0, 5.0, 0.1), "c": (2.0, 6.0, -0.1)}, 0.05)
     room.run(5.0, standing(3.0), standing(3.0, 1.2))
@@ -577,6 +607,18 @@ def test_three_cameras():
     owners = [{room.manager.person_of(MatchNode(Kind.FACE, room.face(camera, person))) for camera in room.views}
               for person in (0, 1)]
     assert [len(found) for found in owners] == [1, 1]
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_whom_a_user_parts_from_two_others_leaves_these_one(number):
+    room = Room({"a": (0.0, 4.0, 0.0), "b": (1.0, 5.0, 0.1), "c": (2.0, 6.0, -0.1)})
+    room.run(5.0, standing(3.0))
+    seen = sorted(state.id for state in room.manager.snapshot(room.now).persons)
+    assert len(seen) == 3 and len(room.tracked) == 1
+    room.manager.split(seen[number], room.now)
+    room.ids.clear()
+    room.run(4.0, standing(3.0))
+    assert {len(ids) for ids in room.ids} == {2} and seen[number] in room.tracked
 
 
 def test_nothing_happens_with_one_camera_without_reference_frame_or_when_switched_off():
@@ -673,11 +715,10 @@ def test_cameras_and_names_are_bounded():
     for number in range(MAX_NAMES + 5):
         for name in ("first", "p%d" % number):
             groups.note_namer(name, "eyes")
-        groups.part("p%d" % number, "q")
         view = View(number, "left")
         view.names = frozenset(["p%d" % number])
         groups.note_names([view])
-    assert {len(kept) for kept in (groups.namers, groups.parted, groups.named_by)} == {MAX_NAMES}
+    assert len(groups.namers) == len(groups.named_by) == MAX_NAMES
     assert "first" in groups.namers, "it is said again and again"
 
 

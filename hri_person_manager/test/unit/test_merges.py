@@ -93,11 +93,20 @@ def test_a_pair_split_by_the_user_is_merged_again_by_the_user_only():
     merges.set("eve", "bob", 0.2)
     merges.set("eve", "bob", 0.0)
     assert updated(merges)["eve"] == "eve", "that they are hardly one is no reason to join them again"
-    assert merges.is_split("bob", "eve") and merges.is_split("eve", "ann") and not merges.is_split("ann", "bob")
+    assert merges.parted == {frozenset(("bob", "eve")), frozenset(("eve", "ann"))}
     assert merges.set("eve", "bob", 1.0)
     assert updated(merges) == {"ann": "ann", "bob": "ann", "eve": "ann"}
     merges.set("eve", "bob", 0.0)
-    assert not merges.is_split("bob", "eve") and updated(merges)["eve"] == "ann", "observed still"
+    assert merges.parted == {frozenset(("eve", "ann"))} and updated(merges)["eve"] == "ann", "observed still"
+
+
+def test_those_whom_a_user_has_parted_are_one_only_as_long_as_a_match_says_so():
+    merges = Merges(0.5)
+    merges.set_observed("ann", "bob", 0.8)
+    merges.split("bob")
+    merges.set_observed("ann", "bob", 0.8)
+    assert merges.report("ann", "bob", 0.9, 0.0) and updated(merges)["bob"] == "ann"
+    assert merges.report("ann", "bob", 0.0, 1.0) and updated(merges)["bob"] == "bob"
 
 
 def test_reports_that_join_and_part_too_often_wait_and_those_that_part_do_not():

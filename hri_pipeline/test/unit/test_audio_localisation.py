@@ -62,6 +62,29 @@ def test_two_microphones_tell_the_angle_and_take_it_to_be_in_front():
         assert angle(back, towards(azimuth)) < 2.0
 
 
+def test_voices_at_both_ends_of_two_microphones_are_two():
+    pair = np.array([[0.0, 0.06, 0.0], [0.0, -0.06, 0.0]])
+    lead = np.zeros(4800)
+    sound = sum(level * plane_wave(np.concatenate([lead, babble(0.8, seed)]), pair, towards(azimuth))
+                for seed, azimuth, level in ((4, 90.0, 1.0), (5, -90.0, 0.6))) + noise(17600, 2)
+    found = peaks(sound, pair)
+    assert [angle(peak.direction, towards(azimuth)) < 1.0 for peak, azimuth in zip(found, (90.0, -90.0))] == [True] * 2
+
+
+@pytest.mark.parametrize("positions", [SQUARE, WALL, PYRAMID])
+def test_one_voice_is_one_peak(positions):
+    """A small array also responds to where the voice does not come from, by a tenth as much."""
+    assert len(peaks(heard(towards(20.0), positions, seed=1), positions)) == 1
+
+
+def test_a_direction_that_the_array_does_not_tell_has_no_response():
+    array = MicrophoneArray(WALL)
+    finder = DirectionFinder(array)
+    for spectrum in FrameSplitter(4).split(heard(towards(0.0), WALL).astype(np.float32)):
+        finder.add(spectrum, np.ones(BINS, np.float32))
+    assert finder.height(towards(0.0)) > 0.3 and finder.height(towards(180.0)) == 0.0
+
+
 def test_a_high_voice_is_found_by_a_level_array_at_its_azimuth():
     found = peaks(heard(towards(60.0, 35.0), SQUARE), SQUARE)
     assert angle(found[0].direction, towards(60.0)) < 1.5

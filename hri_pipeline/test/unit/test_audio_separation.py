@@ -75,7 +75,7 @@ def test_the_parts_of_all_sources_are_no_more_than_the_sound():
     filters.steer({2: towards(120.0)})
     assert set(filters.separate(spectrum, noise_power)) == {2}
     filters.steer({})
-    assert filters.separate(spectrum, noise_power) == {}
+    assert filters.separate(spectrum, noise_power) == filters.shares(spectrum, noise_power) == {}
 
 
 def test_who_has_walked_on_is_listened_to_where_they_are_now():
@@ -128,6 +128,21 @@ def test_two_voices_at_once_come_out_apart():
         source = min(separator.sources, key=lambda s, a=azimuth: angle(s.direction, towards(a)))
         assert angle(source.direction, towards(azimuth)) < 5.0
         assert ratio_db(found[source.key][part], voice[part]) > ratio_db(sound[part, 0], voice[part]) + 6.0
+
+
+def test_who_has_fallen_silent_is_not_heard_though_somebody_else_is():
+    (_, first), (_, second) = one_voice(20.0, 2.0, seed=3), one_voice(140.0, 4.0, seed=7)
+    sound = second.copy()
+    sound[:len(first)] += first
+    separator, heard = SoundSeparator(SQUARE), {20.0: [], 140.0: []}
+    for begin in range(0, len(sound), 480):
+        for signal in separator.process(sound[begin:begin + 480]):
+            azimuth = min(heard, key=lambda side, signal=signal: angle(signal.direction, towards(side)))
+            heard[azimuth].append((begin / RATE, signal.active))
+    part = {azimuth: [np.mean([active for stamp, active in of if since < stamp < since + 0.8])
+                      for since in (1.5, 2.7, 3.6)] for azimuth, of in heard.items()}
+    assert min(part[140.0]) > 0.9 and part[20.0][0] > 0.8
+    assert part[20.0][1] < 0.2 and part[20.0][2] == 0.0
 
 
 @pytest.mark.parametrize("sizes", [(16000,), (160,), (511, 1, 0, 1024, 333)])
@@ -236,6 +251,9 @@ def test_two_microphones_separate_and_tell_directions_only_when_told_to():
             assert angle(signals[-1].direction, towards(35.0)) < 4.0
         else:
             assert all(signal.direction is None for signal in signals)
+    _, sound = one_voice(azimuth=35.0)
+    signals = SoundSeparator(SQUARE, settings(line_front=False)).process(sound)
+    assert [angle(signal.direction, towards(35.0)) < 4.0 for signal in signals] == [True], "no line"
 
 
 def test_not_more_sources_than_allowed():

@@ -10,7 +10,20 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Callable, Container, Dict, FrozenSet, Iterable, List, Mapping, NamedTuple, Optional, Set, Tuple
+from typing import (
+    AbstractSet,
+    Callable,
+    Container,
+    Dict,
+    FrozenSet,
+    Iterable,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Set,
+    Tuple,
+)
 
 import numpy as np
 
@@ -157,15 +170,15 @@ class CrossCamera:
         human.fused = (stamp, fused)
         return fused
 
-    def update(self, groups: Iterable[SensedGroup], is_split: Callable[[str, str], bool]) -> None:
+    def update(self, groups: Iterable[SensedGroup], parted: AbstractSet[FrozenSet[str]]) -> None:
         """Take who belongs together; decides who is one human, which views are held, and which are due to be told.
 
-        is_split(id, id): tells whether a user has parted two persons.
+        parted: pairs of persons whom a user has parted.
         """
         self._groups.regroup(groups)
-        for pair in self._told:
-            if is_split(*pair):
-                self._groups.part(*sorted(pair))
+        self._groups.parted = parted
+        for pair in self._told & parted:
+            self._groups.part(*sorted(pair))
         live = [view for view in self._groups.views() if self._newest - view.ended <= FRESH_S]
         self._groups.note_names(live)
         self._groups.note_two(live)
@@ -312,7 +325,7 @@ class CrossCamera:
             clear = margins[pair] >= CLEARER_BY and not self._has_rival(pair, costs, rivals)
             if clear and self._groups.may_be_one(one, other) and self._is_ripe(pair, one, other, live):
                 self._groups.unite(one, other)
-            elif margins[pair] >= LIKELIER_BY and costs[pair] <= LIKELY and one.views and other.views:
+            elif costs[pair] <= LIKELY and one.views and other.views:
                 # Not sure enough, or not for long enough, to be told, but a better place than that of one of them.
                 for human, more in ((one, other), (other, one)):
                     self._groups.likely.setdefault(human.number, []).extend(more.views)
@@ -346,8 +359,6 @@ class CrossCamera:
 
     def _costs(self, seen: List[ViewGroup], live: List[View]) -> Dict[Pair, float]:
         """Smoothed squared distances of all pairs that may be one, and of lost humans and new views."""
-        if len(seen) < 1:
-            return {}
         stamp = max(self._newest - 0.8 * FRESH_S, min(view.ended for view in live))
         pairs = self._groups.possible_pairs(seen)
         squares = self._squares(seen, live, pairs, stamp) - 2.0 * np.minimum(

@@ -431,7 +431,7 @@ class PersonManager:
         """Join and part persons by what several cameras see; returns whether any merge may have changed."""
         if not self._settings.cross_camera:
             return False
-        self._cameras.update(self._sensed_groups(now), self._merges.is_split)
+        self._cameras.update(self._sensed_groups(now), self._merges.parted)
         due = frozenset().union(*self._cameras.due)
         if due:
             self._hold(now, due)

@@ -9,7 +9,7 @@ merged again by observation. `ChangeLimit` says how often reports that contradic
 from __future__ import annotations
 
 from collections import OrderedDict
-from typing import Any, Callable, Dict, FrozenSet, Hashable, Iterable, List, Optional, Set, Tuple
+from typing import AbstractSet, Any, Callable, Dict, FrozenSet, Hashable, Iterable, List, Optional, Set, Tuple
 
 MAX_MERGES = 1000
 MOST_CHANGES, CHANGES_PER_S = 8.0, 0.5      # of who belongs to a feature, by matches: at once, and in the long run
@@ -101,29 +101,33 @@ class Merges:
     def set(self, first: str, second: str, likelihood: float) -> bool:
         """Keep a likelihood, 0 withdraws it; return whether who is joined with whom may have changed.
 
-        Raises ValueError for a person and itself.
+        This is the word of a user: it ends that they are parted. Raises ValueError for a person and itself.
         """
+        changed = self._put(first, second, likelihood)
+        if likelihood >= self.threshold:
+            self._split.pop(_pair(first, second), None)
+        return changed
+
+    def _put(self, first: str, second: str, likelihood: float) -> bool:
         pair = _pair(first, second)
         before = self._is_joined(pair)
         self._held.pop(pair, None)
         self._pairs.pop(pair, None)
         if likelihood > 0.0:
             self._pairs[pair] = likelihood
-        if likelihood >= self.threshold:
-            self._split.pop(pair, None)
         changed = before != self._is_joined(pair)
         while len(self._pairs) > MAX_MERGES:
             changed |= self._pairs.popitem(last=False)[1] >= self.threshold
         return changed
 
     def report(self, first: str, second: str, likelihood: float, now: float) -> bool:
-        """Do as set() for what a match says at `now` (s); it waits where matches join and part too often, unless
-        it parts."""
+        """Do as set() for what a match says at `now` (s), but those whom a user has parted are parted again after it.
+        It waits where matches join and part too often, unless it parts."""
         pair = _pair(first, second)
         if likelihood >= self.threshold and not self._is_joined(pair) and self._limit.holds((pair,), now):
             self._held[pair] = likelihood
             return False
-        changed = self.set(first, second, likelihood)
+        changed = self._put(first, second, likelihood)
         if changed:
             self._limit.note((pair,), now)
         return changed
@@ -195,9 +199,10 @@ class Merges:
             self._split.popitem(last=False)
         return True
 
-    def is_split(self, first: str, second: str) -> bool:
-        """Tell whether a user has parted two persons, so that observation does not merge them."""
-        return frozenset((first, second)) in self._split
+    @property
+    def parted(self) -> AbstractSet[Pair]:
+        """Pairs of persons whom a user has parted, so that observation does not merge them."""
+        return self._split.keys()
 
     def update(self, persons: Iterable[str], rank: Callable[[str], Tuple]) -> bool:
         """Choose the representative of all merged persons among the present `persons`: the one of least `rank`.

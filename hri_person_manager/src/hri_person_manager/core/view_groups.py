@@ -14,7 +14,7 @@ import math
 from collections import OrderedDict
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Dict, FrozenSet, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import AbstractSet, Dict, FrozenSet, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
@@ -196,7 +196,7 @@ class ViewGroups:
         self.sensors: Set[str] = set()
         self.named_by: "OrderedDict[str, Set[str]]" = OrderedDict()
         self.kept: "OrderedDict[FrozenSet[str], None]" = OrderedDict()
-        self.parted: "OrderedDict[FrozenSet[str], None]" = OrderedDict()
+        self.parted: AbstractSet[FrozenSet[str]] = frozenset()
         self.strangers: "OrderedDict[FrozenSet[str], None]" = OrderedDict()
         self.namers: "OrderedDict[str, Set[str]]" = OrderedDict()
         self.explained: Dict[int, Set[int]] = {}
@@ -354,7 +354,7 @@ class ViewGroups:
     def take_names(self, before: ViewGroups) -> None:
         """Take over what is known of persons, whoever sees them."""
         self.named_by, self.namers, self.strangers = before.named_by, before.namers, before.strangers
-        self.kept, self.parted = before.kept, before.parted
+        self.kept = before.kept
 
     def _are_strangers(self, first: str, second: str) -> bool:
         """Tell whether a recogniser has told two persons apart, or knows both."""
@@ -377,15 +377,15 @@ class ViewGroups:
         return kept
 
     def part(self, first: str, second: str) -> None:
-        """Part two persons for good, as a user has."""
-        self.parted[frozenset((first, second))] = None
+        """Make two humans of two persons, as a user has: who is parted from more of the others goes."""
         for human in list(self.all.values()):
             if first in human.persons and second in human.persons:
-                for view in [view for view in human.views if view.person == second]:
+                parted = {one: sum(frozenset((one, other)) in self.parted for other in human.persons)
+                          for one in (second, first)}
+                gone = max(parted, key=parted.__getitem__)
+                for view in [view for view in human.views if view.person == gone]:
                     self.take_out(view)
-                human.persons.pop(second, None)
-        while len(self.parted) > MAX_NAMES:
-            self.parted.popitem(last=False)
+                human.persons.pop(gone, None)
 
     # ----- who are two
 

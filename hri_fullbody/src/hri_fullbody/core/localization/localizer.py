@@ -443,7 +443,7 @@ class BodyLocalizer:
                 floor_ratio(points, rays, confidence, context.up, context.camera_height), context.height_sd))
         scale = self._scale.value
         anchor, placed = 0.5 * (points[BLAZE_LEFT_HIP] + points[BLAZE_RIGHT_HIP]), points * scale
-        if cue is not None and cue.exact:
+        if cue is not None:
             anchor = cue.reference
             placed = placed + anchor * (cue.ratio - scale)
         if self.by_depth and context.depth is not None:

@@ -55,14 +55,13 @@ class ScaleCue:
 
     sd: standard deviation of its logarithm in one image, inf when it says nothing about the size. lasting_sd: of the
     error that all images share. reference: the point (3,) m of the landmarks that was measured; it is the one that must
-    lie on its ray. exact: the body is to be at this distance now, not only to be scaled by it in the long run.
+    lie on its ray.
     """
 
     source: str
     ratio: float
     sd: float
     lasting_sd: float
-    exact: bool
     reference: np.ndarray
 
 
@@ -150,7 +149,7 @@ class BodyScale:
             return None
         self._floor.append(ratio)
         return ScaleCue("floor", median_of_few(np.array(self._floor)), _FLOOR_SD[0],
-                        math.hypot(_FLOOR_SD[1], lasting_sd), False, np.zeros(3))
+                        math.hypot(_FLOOR_SD[1], lasting_sd), np.zeros(3))
 
     def update(self, cue: Optional[ScaleCue]) -> None:
         """Learn from a cue."""
@@ -174,6 +173,6 @@ class BodyScale:
 def _cue(source: str, ratio: float, sd: Tuple[float, float], limits: Tuple[float, float],
          reference: np.ndarray) -> Optional[ScaleCue]:
     if limits[0] < ratio < limits[1]:
-        return ScaleCue(source, ratio, *sd, True, reference)
-    return (ScaleCue(source, ratio, math.inf, math.inf, True, reference)
+        return ScaleCue(source, ratio, *sd, reference)
+    return (ScaleCue(source, ratio, math.inf, math.inf, reference)
             if _PLACE_RANGE[0] < ratio < _PLACE_RANGE[1] else None)

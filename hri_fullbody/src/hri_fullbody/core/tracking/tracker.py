@@ -398,14 +398,14 @@ class BodyTracker:
         order = sorted((track for track in self.tracks if track.visible or track.id in seen),
                        key=lambda track: (track.face_id not in shown_faces, track.id in missed,
                                           *track.weakness(track.id in seen, stamp)))
-        shown: Dict[str, Tuple[PoseEstimate, bool]] = {}
+        shown: Dict[str, PoseEstimate] = {}
         for track in order:
-            estimate, faced = seen.get(track.id, track.expected(stamp)), track.face_id in shown_faces
-            if not any(one_human(estimate, other) for other, its in shown.values() if not (faced and its)):
-                shown[track.id] = estimate, faced
+            estimate = seen.get(track.id, track.expected(stamp))
+            if track.face_id in shown_faces or not any(one_human(estimate, other) for other in shown.values()):
+                shown[track.id] = estimate
         back = {track.id for track in order if not track.has_gap(stamp)}
         return {track.id for track in order if track.id not in shown or (
-            track.rival in shown and track.rival in back and _at_one_place(shown[track.id][0], shown[track.rival][0]))}
+            track.rival in shown and track.rival in back and _at_one_place(shown[track.id], shown[track.rival]))}
 
     def _unhidden(self, track: BodyTrack, detection: PoseDetection, stamp: float) -> bool:
         """Tell whether nobody else is near enough to stand before this body."""
@@ -457,8 +457,8 @@ class BodyTracker:
 
     def _stays_refused(self, candidate: BodyCandidate, box: np.ndarray, image: np.ndarray, stamp: float) -> bool:
         """Tell whether a person's box was refused and nothing has changed; who is hidden may come back there."""
-        return (candidate.first is None and all(track.visible for track in self.tracks)
-                and not self._accompanied(candidate, box, stamp) and self._refused.contain(image, box))
+        return (all(track.visible for track in self.tracks) and not self._accompanied(candidate, box, stamp)
+                and self._refused.contain(image, box))
 
     def _mirrored_too(self, image: np.ndarray, estimate: PoseEstimate, faces: Sequence[FaceBox], stamp: float) -> bool:
         """Tell whether the network sees a body at the same place in mirrored windows of several sizes: of a human it
@@ -474,8 +474,7 @@ class BodyTracker:
 
     def _returns(self, image: np.ndarray, estimate: PoseEstimate, stamp: float, faces: Sequence[FaceBox]) -> bool:
         """Give what a person's box shows at once to the hidden body that it fits; tell whether there is one."""
-        hidden = [track for track in self.tracks if not track.visible]
-        if not hidden or not is_sound(estimate, self._min_score):
+        if all(track.visible for track in self.tracks):
             return False
         detection = self._make_detection(image, estimate, None, stamp)
         if detection is None or nearest_face(detection, faces) is not None or any(
