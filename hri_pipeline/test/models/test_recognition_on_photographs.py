@@ -10,6 +10,7 @@ from benchmarks.labels import nearest_face
 from benchmarks.recognition import HFOV, Encounters, identities, images, recognise_twice, recognising_stage
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.analysis import FaceDemand
+from hri_pipeline.core.faces.crops import looks_smeared
 from hri_pipeline.core.onnx import ModelError, models_directory
 from hri_pipeline.core.recognition.embedding import FaceEmbedder, face_chip, load_face_embedder, similarity
 from hri_pipeline.core.recognition.enrolment import EnrolmentError, templates_of
@@ -144,6 +145,21 @@ def test_the_one_in_a_group_who_wears_dark_glasses_is_found_and_not_enrolled(emb
     picture = tmp_path / "one.png"
     cv2.imwrite(str(picture), image[max(0, y - reach):y + reach, max(0, x - reach):x + reach])
     with pytest.raises(EnrolmentError, match="one.png: dark glasses"):
+        templates_of([picture])
+
+
+def test_faces_that_motion_blurs_are_told_from_others_and_not_enrolled(embedder, tmp_path):
+    crops = crops_of_photographs(embedder)
+    half_shaded = np.where(np.arange(150) < 75, 0.15, 1.0)[:, None]
+    for clear in (crops, [cv2.GaussianBlur(crop, (0, 0), 2.5) for crop in crops], [np.uint8(crop * half_shaded) for
+                                                                                  crop in crops]):
+        assert not any(looks_smeared(crop) for crop in clear)
+    for line in (np.ones((1, 25)), np.ones((25, 1)), np.eye(19)):
+        assert all(looks_smeared(cv2.filter2D(crop, -1, line / line.sum())) for crop in crops)
+    image = cv2.imread(str(models_directory() / "demo" / "sample3.jpg"))
+    picture = tmp_path / "one.png"
+    cv2.imwrite(str(picture), cv2.filter2D(image, -1, np.full((1, 91), 1.0 / 91.0)))
+    with pytest.raises(EnrolmentError, match="one.png: blurred by motion"):
         templates_of([picture])
 
 
