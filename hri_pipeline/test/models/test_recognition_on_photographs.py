@@ -156,7 +156,7 @@ def test_the_one_in_a_group_who_wears_dark_glasses_is_found_and_not_enrolled(emb
 
 @pytest.mark.parametrize("light", [(1.4, 0.2, 0.1), (0.1, 0.15, 1.4), (0.15, 1.2, 0.2), (1.2, 0.1, 1.2)])
 def test_people_in_coloured_light_are_known_as_in_grey(embedder, light):
-    """Two men at a distance of .39 came as near as .23 in blue light; in magenta and green one bore the other's name."""
+    """Two men at a distance of .39 came as near as .23 in blue light; in magenta one bore the name of the other."""
     crops = crops_of_photographs(embedder)
     coloured = [np.uint8(np.clip(crop * np.array(light), 0, 255)) for crop in crops]
     grey = [cv2.cvtColor(cv2.cvtColor(crop, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR) for crop in coloured]
