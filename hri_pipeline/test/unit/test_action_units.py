@@ -72,6 +72,19 @@ def after_ten_seconds():
 SETTLED = after_ten_seconds()
 
 
+def test_nothing_is_told_of_eyes_behind_dark_glasses():
+    smiling, shut = moved(FACE, CORNER, (7, 7, 3)), moved(FACE, UPPER_LID, (0, -8, 0))
+    for face in smiling, shut:
+        bare, hidden = (settled().update(seen(face), looking(0, 0, 0, (0, 0, 1.0)), 10.0, eyes_closed=0.9,
+                                         eyes_hidden=is_hidden) for is_hidden in (False, True))
+        of_eyes = [5, 7, 43, 45, 61, 62, 63, 64]
+        assert (hidden.confidence[of_eyes] == 0.0).all() and bare.confidence[45] > 0.9
+        assert (hidden.intensity[71], bare.intensity[71]) == (1.0, 0.0) and hidden.intensity[73] == 0.0
+        others = [1, 2, 4, 10, 12, 15, 25, 26, 51, 54]
+        assert (hidden.confidence[others] == bare.confidence[others]).all()
+        assert (hidden.intensity[others] == bare.intensity[others]).all()
+
+
 def settled():
     """An estimator that has seen this face at rest for ten seconds."""
     return copy.deepcopy(SETTLED, {id(MEASURES_OF_FACE): MEASURES_OF_FACE})

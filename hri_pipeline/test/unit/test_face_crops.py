@@ -7,7 +7,9 @@ from scipy.spatial.transform import Rotation
 
 from hri_pipeline.core.faces.crops import (
     MAX_SIZE,
+    DarkGlasses,
     aligned_crop,
+    behind_dark_glasses,
     box_crop,
     burnt_part,
     crop_quality,
@@ -171,3 +173,48 @@ def test_noise_is_told_from_details():
     soft = cv2.GaussianBlur(crop + random.normal(0.0, 40.0, crop.shape), (0, 0), 4.0)
     assert relative_noise(np.clip(soft, 0, 255).astype(np.uint8)) < 0.06, "noise that was smoothed away"
     assert relative_noise(np.full((112, 112, 3), 90, np.uint8)) < 1e-3
+
+
+def turned(yaw):
+    return Pose(Rotation.from_euler("y", yaw, degrees=True).as_matrix() @ UPRIGHT, np.array([0.0, 0.0, 0.7]))
+
+
+def bright_face(lenses):
+    """A picture (200, 300, 3) of a bare face, with lenses of this grey value, and its mesh."""
+    mesh, image = np.zeros((478, 3)), np.full((200, 300, 3), 180, np.uint8)
+    mesh[:, :2] = (150.0, 100.0)
+    mesh[[33, 133, 362, 263, 2], :2] = [(118, 80), (136, 82), (164, 82), (182, 80), (150, 118)]
+    for x in (127, 173):
+        cv2.ellipse(image, (x, 84), (18, 13), 0, 0, 360, (lenses, lenses, lenses), -1)
+    return image, mesh
+
+
+def test_dark_glasses_are_off_when_two_looks_from_the_front_show_none():
+    glasses, dark, bare = DarkGlasses(), bright_face(15), bright_face(150)
+    seen = [glasses.update(*picture, turned(yaw), stamp) for stamp, picture, yaw in (
+        (0.0, bare, 0), (0.1, dark, 0), (0.6, dark, 0), (1.2, bare, 50), (1.8, bare, 50), (2.4, bare, 50),
+        (3.0, bare, 0), (3.2, bare, 0), (3.6, bare, 0), (4.2, dark, 50))]
+    #                a look: no dark lens; no look yet; on; from the side one may be missed; off; on
+    assert seen == [False, False, True, True, True, True, True, True, False, True]
+
+
+def test_one_missed_look_does_not_take_dark_glasses_off():
+    glasses, dark, bare = DarkGlasses(), bright_face(15), bright_face(150)
+    assert all(glasses.update(*picture, turned(0), 0.5 * number) for number, picture in enumerate((dark, bare) * 4))
+
+
+def coloured_face(lenses, skin=(120, 150, 190), below=True):
+    """A crop (150, 150, 3) of bare skin with lenses, or with make-up that ends above what is below the eyes."""
+    crop = np.empty((150, 150, 3), np.uint8)
+    crop[:] = skin
+    for x in (46, 104):
+        cv2.ellipse(crop, (x, 47), (22, 15 if below else 5), 0, 0, 360, lenses, -1)
+    return crop
+
+
+def test_lenses_that_mirror_in_a_colour_are_found_in_light_of_any_colour_and_make_up_is_none():
+    assert behind_dark_glasses(coloured_face((235, 190, 140))) and behind_dark_glasses(coloured_face((60, 140, 240)))
+    assert not behind_dark_glasses(coloured_face((235, 190, 140), below=False))
+    assert not behind_dark_glasses(coloured_face((96, 120, 152))), "the shade of skin"
+    for skin in ((190, 150, 120), (60, 70, 200), (0, 0, 0)):
+        assert not behind_dark_glasses(coloured_face(skin, skin)), "in light of a colour, and without any"

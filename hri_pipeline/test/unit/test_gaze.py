@@ -138,6 +138,22 @@ def test_the_gaze_of_a_face_of_13_to_30_px_is_that_of_its_head_and_says_so(width
     assert gaze.direction == pytest.approx(pose.rotation[:, 0]) and gaze.eyes_closed < OPEN
 
 
+@pytest.mark.parametrize("opening", [0.3, 0.05])
+def test_the_gaze_behind_dark_glasses_is_that_of_the_head_and_the_eyes_are_never_told_shut(opening):
+    """The mesh invents irises and lids there: a look was told at 0.9, and eyes were shut."""
+    pose, lost = pose_of(20, 5, 0), estimator(opening)
+    meshes = [mesh_of(pose, towards(-5, 0), opening)] * 2
+    shapes = np.tile(shapes_of(0.9 if opening < 0.1 else 0.2, 0.8), (2, 1))
+    (seen, hidden), _ = lost.estimate_all(meshes, [pose] * 2, CAMERA, [0.9, 0.9], shapes, [False, True])
+    assert seen.from_eyes > 0.9 and (seen.eyes_closed > 0.8) == (opening < 0.1)
+    assert hidden.from_eyes == 0.0 and hidden.confidence == pytest.approx(0.9 * HEAD_CONFIDENCE)
+    assert hidden.direction == pytest.approx(pose.rotation[:, 0])
+    smooth = GazeSmoother()
+    for number in range(20):
+        told = smooth(hidden, 0.1 * number)
+        assert told.eyes_closed < OPEN and told.confidence == pytest.approx(0.9 * HEAD_CONFIDENCE)
+
+
 WIDE = CameraModel.from_fov(1280, 720, 2.0)
 FISHEYE = CameraModel(1280, 720, np.array([[500.0, 0, 640], [0, 500.0, 360], [0, 0, 1]]), np.zeros(4), "equidistant",
                       Calibration.CALIBRATED)

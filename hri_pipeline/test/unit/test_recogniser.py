@@ -952,7 +952,6 @@ def recognition_of(embed):
     recognition._embedder.crop = lambda bgr, mesh, camera: bgr
     recognition._embedder.embed = embed
     recognition._embedder.covered = lambda crops, templates: np.zeros(len(crops), bool)
-    recognition._embedder.behind_dark_glasses = lambda crops: np.zeros(len(crops), bool)
     return recognition
 
 
@@ -963,7 +962,7 @@ def test_a_crop_that_is_blurred_by_motion_makes_no_template_and_the_next_one_doe
     for number, crop in enumerate([face_picture()] * 3 + [face_picture(direction=(1, 0))] * 2 + [face_picture()]):
         stamp = 100.0 + 0.4 * number
         assert recognition.due({"f1": 0.9}, stamp)
-        recognition.look(crop, [Mock(id="f1", mesh=np.zeros((478, 3)))], stamp)
+        recognition.look(crop, [Mock(id="f1", mesh=np.zeros((478, 3)), dark_glasses=False)], stamp)
         taken.append(list(recognition.made))
     assert taken == [["f1"]] * 3 + [[]] * 2 + [["f1"]]
 
@@ -974,7 +973,7 @@ class MaskedPeople:
     def __init__(self):
         self.recognition = recognition_of(lambda crops: np.array([self._template(crop) for crop in crops]))
         self.recognition._embedder.covered = self._covered
-        self.stamp, self.asked = 100.0, []
+        self.stamp, self.asked, self.dark = 100.0, [], False
 
     @staticmethod
     def _template(crop):
@@ -993,7 +992,8 @@ class MaskedPeople:
             self.recognition._embedder.crop = lambda bgr, mesh, camera: (who, masked)
             if self.recognition.due({face: 0.9}, self.stamp):
                 self.recognition.recogniser.is_blurred = lambda *_: False
-                self.recognition.look(None, [Mock(id=face, mesh=np.zeros((478, 3)))], self.stamp)
+                seen = Mock(id=face, mesh=np.zeros((478, 3)), dark_glasses=self.dark and masked)
+                self.recognition.look(None, [seen], self.stamp)
         return self.recognition.recogniser.person_of(face)
 
 
@@ -1020,7 +1020,7 @@ def with_dark_glasses():
     people._template = lambda crop: template(crop[0], 0.05)
     people.recognition._embedder.covered = lambda crops, templates: np.zeros(len(crops), bool)
     people.recognition._embedder.embed = lambda crops: np.array([people._template(crop) for crop in crops])
-    people.recognition._embedder.behind_dark_glasses = lambda crops: np.array([dark for _, dark in crops], bool)
+    people.dark = True
     return people
 
 
@@ -1054,7 +1054,7 @@ def seen_by(recognition, face, who, direction, stamps, distance=0.05):
     for stamp in stamps:
         recognition.keep([face])
         if recognition.due({face: 0.9}, stamp):
-            recognition.look(image, [Mock(id=face, mesh=np.zeros((478, 3)))], stamp)
+            recognition.look(image, [Mock(id=face, mesh=np.zeros((478, 3)), dark_glasses=False)], stamp)
     return recognition.recogniser.person_of(face)
 
 
@@ -1180,7 +1180,8 @@ def test_a_face_that_is_blurred_by_motion_keeps_no_other_from_a_template():
     recognition = recognition_of(lambda crops: np.array([template(1) for _ in crops]))
     pictures = {"still": face_picture(), "runs": face_picture()}
     recognition._embedder.crop = lambda bgr, mesh, camera: pictures["runs" if mesh[0, 0] else "still"]
-    faces, made = [Mock(id="still", mesh=np.zeros((478, 3))), Mock(id="runs", mesh=np.ones((478, 3)))], []
+    faces, made = [Mock(id="still", mesh=np.zeros((478, 3)), dark_glasses=False),
+                   Mock(id="runs", mesh=np.ones((478, 3)), dark_glasses=False)], []
     for number in range(24):
         if recognition.due({"runs": 0.9, "still": 0.9}, 100.0 + 0.1 * number):
             recognition.look(face_picture(), faces, 100.0 + 0.1 * number)

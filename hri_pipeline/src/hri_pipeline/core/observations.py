@@ -52,6 +52,7 @@ class FaceObservation:
     core.faces.expression.ExpressionEstimate; soft_biometrics: SoftBiometrics; each None when not estimated in this
     image. head_scale: size of this head over the canonical one, and its standard deviation; None without a pose.
     measured: False when the face was predicted and not measured in this image, because there were too many faces.
+    dark_glasses: dark or mirrored lenses hide its eyes, as far as that is noticed.
     """
 
     id: str
@@ -67,6 +68,7 @@ class FaceObservation:
     head_scale: Optional[float] = None
     head_scale_sd: Optional[float] = None
     measured: bool = True
+    dark_glasses: bool = False
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ the neutral lies; below 0.5 for what expressions and speech only make larger.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Dict, Optional, Sequence, Tuple
 
 import numpy as np
@@ -196,6 +196,8 @@ _PARTS = np.zeros((3, len(MEASURES)))
 for _part, _names in zip(_PARTS, (("brow_inner", "brow_outer"), ("lid_upper", "lid_lower"),
                                   ("corner_up", "lip_gap", "chin"))):
     _part[[_INDEX[_name] for _name in _names]] = 1.0 / len(_names)
+_OF_EYES = np.array([measure.name.startswith(("lid_", "iris_")) for measure in MEASURES])
+"""(M,) measures that glasses hide."""
 _MEANS = np.repeat([measure.neutral for measure in MEASURES], 2)
 _SPREADS = np.repeat([measure.spread for measure in MEASURES], 2)
 _QUANTILES = np.repeat([measure.quantile for measure in MEASURES], 2)
@@ -226,7 +228,8 @@ class ActionUnitEstimator:
         self._gestures = HeadGestures()
 
     def update(self, mesh: np.ndarray, pose: Optional[Pose], stamp: float, presence: float = 1.0,
-               camera: Optional[CameraModel] = None, eyes_closed: Optional[float] = None) -> ActionUnits:
+               camera: Optional[CameraModel] = None, eyes_closed: Optional[float] = None,
+               eyes_hidden: bool = False) -> ActionUnits:
         """Return the units at a time (s); one that goes back is a new start.
 
         Parameters
@@ -244,6 +247,8 @@ class ActionUnitEstimator:
             Of the image; see FaceMeasures.measure.
         eyes_closed
             Closedness of the eyes, 0 to 1, by `gaze`; None: by the opening of the lids over its neutral.
+        eyes_hidden
+            Nothing is seen of eyes and lids, as with dark glasses: what the mesh says of them is a guess.
 
         Raises
         ------
@@ -261,6 +266,8 @@ class ActionUnitEstimator:
         if face is None or not presence > 0.0:
             intensity[list(HIDDEN_CODES)] = confidence[list(HIDDEN_CODES)] = 1.0
             return _frozen(intensity, confidence, self._neutral.known)
+        if eyes_hidden:
+            face = replace(face, visible=np.where(_OF_EYES[:, None], 0.0, face.visible))
         overall = self._confidence(face, min(float(presence), 1.0))
         offset, seen = self._offsets(face)
         self._eyelids(face, intensity, confidence, overall, stamp, eyes_closed)
@@ -394,7 +401,8 @@ def angles_to_sight(rotation: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 def _hidden(seen: np.ndarray, intensity: np.ndarray, confidence: np.ndarray, usable: bool) -> None:
-    """70 to 73: what is turned away or outside the image. A hand in front of the face is not noticed."""
+    """70 to 73: what is turned away, outside the image or, of the eyes, behind dark glasses. A hand in front of the
+    face is not noticed."""
     parts = [not usable or float(seen @ part) < _HIDDEN for part in _PARTS]
     intensity[70:73] = parts
     intensity[73] = float(all(parts))

@@ -220,7 +220,8 @@ class FaceAnalysis:
                         self._units[face.id] = ActionUnitEstimator(self._measures)
                     estimator = self._units[face.id]
                     closed = None if face.gaze is None else face.gaze.eyes_closed
-                    found[face.id] = estimator.update(face.mesh, face.pose, stamp, face.score, self._camera, closed)
+                    found[face.id] = estimator.update(face.mesh, face.pose, stamp, face.score, self._camera, closed,
+                                                      face.dark_glasses)
         return found
 
     def _assess(self, bgr: np.ndarray, faces: Sequence[FaceObservation], stamp: float,

@@ -1,4 +1,5 @@
-"""Upright crops of faces for networks and topics, their picture quality, and whether motion has blurred them."""
+"""Upright crops of faces for networks and topics, their picture quality, whether motion has blurred them, and
+whether dark glasses hide the eyes."""
 
 from __future__ import annotations
 
@@ -18,6 +19,7 @@ from hri_pipeline.core.faces.mesh import (
     level_roi,
 )
 from hri_pipeline.core.geometry import Pose, crop_rotated
+from hri_pipeline.core.recognition.embedding import face_chip
 
 MAX_SIZE = 1024
 """Largest side (px) of a crop."""
@@ -61,6 +63,27 @@ _NORMAL_MEDIAN = 0.6745
 """Median of the absolute values of normal noise, in standard deviations."""
 _FINEST = 4
 """Most times the size of a crop at which it is drawn before it is averaged, in a view that is not the image."""
+_EYE_PARTS = ((0.245, 0.385, 0.22, 0.39), (0.245, 0.385, 0.61, 0.78))
+"""Where `face_chip` shows either eye with its lids, most of a lens, without the brow: top, bottom, left and right, in
+sides of the crop."""
+_BELOW_EYES = ((0.345, 0.385, 0.245, 0.365), (0.345, 0.385, 0.635, 0.755))
+"""The same of what is below the eyes, still in a lens."""
+_BARE_PARTS = ((0.48, 0.56, 0.22, 0.32), (0.48, 0.56, 0.68, 0.78), (0.42, 0.52, 0.455, 0.535))
+_FOREHEAD_PART = (0.08, 0.16, 0.40, 0.60)
+"""The same of both cheeks and the nose, and of the forehead."""
+DARK_LENS, _DARK_FOREHEAD = 0.33, 0.5
+"""Light of the lighter parts of an eye and its lids, over that of the second lightest of forehead, nose and cheeks,
+below which it is behind dark glasses (else .5 and more); and the same bound against the forehead."""
+LENS_COLOUR = 0.14
+"""Difference of a lens's colour (parts of blue, green and red of their sum, the differences added) from that of the
+skin, from which it mirrors. Of 148 bare faces .11 at most."""
+_LENS_PART, _LENS_CROP = 0.75, 50
+"""Which part of an eye and its lids is darker than what is taken of it; and the size (px) of the crop."""
+_GLASSES_PERIOD, _GLASSES_OFF = 0.5, 2
+"""Time (s) between two looks for dark glasses, and how many of a face that is not turned away show none until they are
+off."""
+_SIDEWAYS = np.deg2rad(25.0)
+"""Turn (rad) from which a look may miss them: of drawn ones .74 are found from about there on, else .97."""
 
 
 def upright_roi(points: np.ndarray, margin: float = 1.3) -> FaceRoi:
@@ -316,3 +339,73 @@ def relative_noise(crop: np.ndarray) -> float:
                         cv2.COLOR_BGR2GRAY).astype(np.float32)
     grain = cv2.filter2D(grey, cv2.CV_32F, _GRAIN)[_GRAIN_EDGE:-_GRAIN_EDGE, _GRAIN_EDGE:-_GRAIN_EDGE]
     return float(np.median(np.abs(grain))) / _NORMAL_MEDIAN / max(float(grey.std()), 1.0)
+
+
+class DarkGlasses:
+    """Whether one face wears dark glasses, over time."""
+
+    def __init__(self) -> None:
+        self.are_worn = False
+        self._looked = -np.inf
+        self._bare = 0
+
+    def update(self, bgr: np.ndarray, mesh: np.ndarray, pose: Pose, stamp: float,
+               camera: Optional[CameraModel] = None) -> bool:
+        """Return whether they are worn in an image, which is looked at twice a second.
+
+        bgr: (H, W, 3) uint8; mesh: (478, 2 or more) px; pose: of the face in the optical frame; stamp: s; camera: see
+        face_chip. Raises ValueError for points that are not finite or in one place.
+        """
+        if 0.0 <= stamp - self._looked < _GLASSES_PERIOD:
+            return self.are_worn
+        self._looked = stamp
+        if behind_dark_glasses(face_chip(bgr, mesh, _LENS_CROP, camera=camera)):
+            self.are_worn, self._bare = True, 0
+        elif turned_away(pose) < _SIDEWAYS:
+            self._bare += 1
+            self.are_worn = self.are_worn and self._bare < _GLASSES_OFF
+        return self.are_worn
+
+
+def behind_dark_glasses(crop: np.ndarray) -> bool:
+    """Return whether a crop of dlib's alignment (S, S, 3) uint8 BGR shows both eyes behind dark glasses, or lenses that
+    mirror in another colour than skin has."""
+    return _has_dark_lenses(crop) or _has_coloured_lenses(crop)
+
+
+def _has_dark_lenses(crop: np.ndarray) -> bool:
+    """Whether eyes and lids are far darker than the rest of the face. Under a dark forehead they may be in a cap's
+    shade, or behind hair."""
+    grey = cv2.cvtColor(crop, cv2.COLOR_BGR2GRAY)
+    lenses = max(_light(grey, part, _LENS_PART) for part in _EYE_PARTS)
+    forehead = _light(grey, _FOREHEAD_PART, 0.5)
+    if lenses >= _DARK_FOREHEAD * forehead:
+        return False
+    return lenses < DARK_LENS * sorted([forehead] + [_light(grey, part, 0.5) for part in _BARE_PARTS])[-2]
+
+
+def _has_coloured_lenses(crop: np.ndarray) -> bool:
+    """Whether lids, and what is below the eyes, have another colour than nose and cheeks on both sides: make-up ends
+    above."""
+    skin = np.sum([_cut_part(crop, part).sum(axis=(0, 1)) for part in _BARE_PARTS], axis=0, dtype=np.float32)
+    skin /= max(float(skin.sum()), 1.0)
+    for part in _BELOW_EYES + _EYE_PARTS:
+        pixels = _cut_part(crop, part).reshape(-1, 3).astype(np.float32)
+        apart = np.abs(pixels - pixels.sum(axis=1, keepdims=True) * skin).sum(axis=1)
+        # The median, without sorting.
+        if 2 * np.count_nonzero(apart > LENS_COLOUR * np.maximum(pixels.sum(axis=1), 1.0)) <= len(apart):
+            return False
+    return True
+
+
+def _light(grey: np.ndarray, part: Sequence[float], share: float) -> float:
+    """Return the grey value below which this share of a part of a square picture (S, S) uint8 lies; part: top, bottom,
+    left, right, in sides of it."""
+    values = np.sort(_cut_part(grey, part), axis=None)
+    return float(values[int(share * len(values))])
+
+
+def _cut_part(picture: np.ndarray, part: Sequence[float]) -> np.ndarray:
+    """Return a part of a square picture (S, S, ...): top, bottom, left, right, in sides of it."""
+    top, bottom, left, right = (int(round(side * len(picture))) for side in part)
+    return picture[top:bottom, left:right]

@@ -13,6 +13,7 @@ from typing import Collection, Dict, List, Optional, Sequence, Tuple
 import numpy as np
 
 from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.faces.crops import DarkGlasses
 from hri_pipeline.core.faces.gaze import EyeGeometry, GazeEstimator, GazeSmoother
 from hri_pipeline.core.faces.head_pose import (
     HeadPoseEstimator,
@@ -74,15 +75,16 @@ class FaceGeometry:
         self._faces = {}
 
     def observe(self, tracked: Sequence[TrackedFace], camera: CameraModel, stamp: float,
-                depth: Optional[np.ndarray] = None) -> List[FaceObservation]:
+                depth: Optional[np.ndarray] = None, bgr: Optional[np.ndarray] = None) -> List[FaceObservation]:
         """Return one observation per tracked face, in order.
 
-        camera: of the image's size; stamp: s; depth: (h, w) m registered with the image, 0 or NaN unknown.
+        camera: of the image's size; stamp: s; depth: (h, w) m registered with the image, 0 or NaN unknown; bgr: the
+        image (H, W, 3) uint8, by which dark glasses are noticed.
         """
         for found in tracked:
             if found.id not in self._faces:
                 self._faces[found.id] = _Face()
-        self._measure([found for found in tracked if found.measured], camera, stamp, depth)
+        self._measure([found for found in tracked if found.measured], camera, stamp, depth, bgr)
         landmarks = landmarks_from_meshes(
             [found.mesh for found in tracked], [found.presence for found in tracked], camera.width, camera.height,
             [self._visibility(self._faces[found.id]) for found in tracked])
@@ -112,7 +114,7 @@ class FaceGeometry:
         return result
 
     def _measure(self, tracked: Sequence[TrackedFace], camera: CameraModel, stamp: float,
-                 depth: Optional[np.ndarray]) -> None:
+                 depth: Optional[np.ndarray], bgr: Optional[np.ndarray]) -> None:
         faces = [self._faces[found.id] for found in tracked]
         starts = [face.raw for face in faces]
         # A new face has no start value; alone it would make the others iterate longer, too.
@@ -125,6 +127,8 @@ class FaceGeometry:
                 if pose is None and starts[index] is not None:
                     pose = self._heads.estimate(tracked[index].mesh, camera)
                 faces[index].set_pose(pose, tracked[index].mesh, stamp)
+                if bgr is not None and pose is not None:
+                    faces[index].glasses.update(bgr, tracked[index].mesh, pose, stamp, camera)
         posed = [(face, found, face.raw) for face, found in zip(faces, tracked) if face.raw is not None]
         self._measure_eyes(posed, camera, stamp, depth)
 
@@ -133,7 +137,8 @@ class FaceGeometry:
         """Measure gaze and head size of the faces that have a pose."""
         gazes, eyes = self._gazes.estimate_all(
             [found.mesh for _, found, _ in posed], [pose for _, _, pose in posed], camera,
-            [found.presence for _, found, _ in posed], lambda needed: self._shapes(posed, needed, camera, stamp))
+            [found.presence for _, found, _ in posed], lambda needed: self._shapes(posed, needed, camera, stamp),
+            [face.glasses.are_worn for face, _, _ in posed])
         for (face, found, pose), gaze, diameters, angles in zip(posed, gazes, eyes.irises, eyes.iris_angles):
             face.gaze = face.gaze_smoother(gaze, stamp)
             from_eyes = 0.0 if face.gaze_smoother.is_closed else gaze.from_eyes
@@ -170,7 +175,8 @@ class FaceGeometry:
             # Exactly the head's, so that nobody takes it for that of the eyes.
             gaze = replace(gaze, direction=pose.rotation[:, 0])
         return FaceObservation(found.id, found.box, found.presence, landmarks, found.mesh, pose, gaze,
-                               head_scale=scale, head_scale_sd=scale_sd, measured=found.measured)
+                               head_scale=scale, head_scale_sd=scale_sd, dark_glasses=face.glasses.are_worn,
+                               measured=found.measured)
 
     @staticmethod
     def _placed(face: _Face, motion: Optional[np.ndarray], stamp: float
@@ -193,6 +199,7 @@ class _Face:
         self.smoother = PoseSmoother()
         self.gaze_smoother = GazeSmoother()
         self.scale = HeadScale()
+        self.glasses = DarkGlasses()
         self.raw: Optional[Pose] = None
         self.pose: Optional[Pose] = None
         self.visibility: Optional[np.ndarray] = None        # of the landmarks, by the pose

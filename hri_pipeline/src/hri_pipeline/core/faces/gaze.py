@@ -104,8 +104,8 @@ class GazeEstimator:
 
     def estimate_all(self, meshes: Sequence[np.ndarray], poses: Sequence[Pose], camera: CameraModel,
                      presences: Sequence[float],
-                     shapes: Union[np.ndarray, Callable[[np.ndarray], np.ndarray], None] = None) -> Tuple[
-                         List[GazeEstimate], EyeMeasures]:
+                     shapes: Union[np.ndarray, Callable[[np.ndarray], np.ndarray], None] = None,
+                     hidden: Optional[Sequence[bool]] = None) -> Tuple[List[GazeEstimate], EyeMeasures]:
         """Return direction and eye closure of each face, and what they were measured by.
 
         There is a direction for closed eyes too (`GazeSmoother` withholds it).
@@ -123,6 +123,9 @@ class GazeEstimator:
         shapes
             (F, 52) blendshapes, or what gives them, called with (F,) bool: whose eyes may be shut, so that fresh ones
             are needed. None: the lids are judged by their opening alone.
+        hidden
+            Of each face, whether nothing is seen of its eyes though they are in the image (dark glasses): what the
+            mesh says of them is a guess then, and they count as those of a face too small for them. None: of none.
         """
         if not len(meshes):
             nothing = np.zeros((0, 2))
@@ -132,9 +135,11 @@ class GazeEstimator:
         places = np.stack([pose.translation for pose in poses])
         measures = self._eyes.measure(stack, rotations, places, camera)
         widths = stack[..., 0].max(axis=1) - stack[..., 0].min(axis=1)
+        covered = np.zeros(len(stack), dtype=bool) if hidden is None else np.asarray(hidden, dtype=bool)
         if callable(shapes):
             openness = np.where(measures.visibility > 0.3, measures.openness, np.inf).min(axis=1)
-            shapes = shapes(~((openness > _WIDE_OPEN) & np.isfinite(openness)))
+            shapes = shapes(~(covered | ((openness > _WIDE_OPEN) & np.isfinite(openness))))
+        widths = np.where(covered, 0.0, widths)
         lids = _lids(measures, widths, shapes)
         directions, iris_weights = _directions(measures, rotations, _length(places), widths, shapes)
         gazes = []

@@ -126,7 +126,7 @@ class FacePipeline:
                 # Unconfirmed ones get a pose, too: when they are confirmed, it may not be their turn for a measurement.
                 new = [face for face in found if face.id not in observed]
                 with measured():
-                    poses = self._geometry.observe(new, camera, stamp, depth)
+                    poses = self._geometry.observe(new, camera, stamp, depth, bgr)
                 observed.update((face.id, face) for face in poses)
                 if placed is not None:
                     placed([observation for observation, face in zip(poses, new) if face.confirmed])

@@ -49,19 +49,9 @@ _CENTRE = tuple(0.001 * number for number in (
 
 _LOWER_FACE = (0.45, 0.98, 0.15, 0.85)
 """Where dlib's crop shows the face from the middle of the nose down."""
-_EYE_PARTS = ((0.245, 0.385, 0.22, 0.39), (0.245, 0.385, 0.61, 0.78))
-"""The same of either eye with its lids: most of a lens, without the brow."""
-_BARE_PARTS = ((0.48, 0.56, 0.22, 0.32), (0.48, 0.56, 0.68, 0.78), (0.42, 0.52, 0.455, 0.535))
-_FOREHEAD_PART = (0.08, 0.16, 0.40, 0.60)
-"""The same of both cheeks and the nose, and of the forehead."""
-DARK_LENS, _DARK_FOREHEAD = 0.33, 0.5
-"""Light of the lighter parts of an eye and its lids, over that of the second lightest of forehead, nose and cheeks,
-below which it is behind dark glasses (else .5 and more); and the same bound against the forehead."""
 COLOURED = 0.2
 """Mean of the weakest colour of a face over that of the strongest, below which its light is coloured. Of 45 people in
 photographs one has .24, all others .35 and more."""
-_LENS_PART, _STRIDE = 0.75, 2
-"""Which part of an eye and its lids is darker than what is taken of it; of how many pixels, each way, one is taken."""
 
 
 @dataclass(frozen=True)
@@ -178,12 +168,6 @@ class FaceEmbedder:
         turned = self.embed([_upside_down(crop, self._kind.lower_face) for crop in crops])
         return np.linalg.norm(turned - templates, axis=1) < self.calibration.spread
 
-    def behind_dark_glasses(self, crops: Sequence[np.ndarray]) -> np.ndarray:
-        """Return (N,) bool: whether crops (N, S, S, 3) uint8 BGR show both eyes behind dark glasses."""
-        if not self._kind.lower_face:
-            return np.zeros(len(crops), bool)
-        return np.array([behind_dark_glasses(crop) for crop in crops], bool)
-
     def _vectors(self, crops: Sequence[np.ndarray]) -> List[np.ndarray]:
         """What the network says of each crop: (dimension,)."""
         return [vector for start in range(0, len(crops), MAX_BATCH)
@@ -224,25 +208,6 @@ def without_coloured_light(crop: np.ndarray) -> np.ndarray:
     if min(means) >= COLOURED * max(means):
         return crop
     return cv2.cvtColor(cv2.cvtColor(crop, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
-
-
-def behind_dark_glasses(crop: np.ndarray) -> bool:
-    """Return whether a crop of dlib's alignment (S, S, 3) uint8 BGR shows both eyes behind dark glasses: eyes and lids
-    are far darker than the rest of the face. Under a dark forehead they may be in a cap's shade, or behind hair."""
-    grey = cv2.cvtColor(crop, cv2.COLOR_BGR2GRAY)
-    lenses = max(_light(grey, part, _LENS_PART) for part in _EYE_PARTS)
-    forehead = _light(grey, _FOREHEAD_PART, 0.5)
-    if lenses >= _DARK_FOREHEAD * forehead:
-        return False
-    return lenses < DARK_LENS * sorted([forehead] + [_light(grey, part, 0.5) for part in _BARE_PARTS])[-2]
-
-
-def _light(grey: np.ndarray, part: Sequence[float], share: float) -> float:
-    """Return the grey value below which this share of a part of a square picture (S, S) uint8 lies; part: top, bottom,
-    left, right, in sides of it."""
-    top, bottom, left, right = (int(round(side * len(grey))) for side in part)
-    values = np.sort(grey[top:bottom:_STRIDE, left:right:_STRIDE], axis=None)
-    return float(values[int(share * len(values))])
 
 
 def load_face_embedder(configured: str = "", providers: Sequence[str] = ("cpu",),

@@ -77,7 +77,6 @@ def templates_of(paths: Sequence[Path], model: str = "") -> PhotographTemplates:
                 continue
             template = embedder.embed([crop])
             problem = (COVERED if embedder.covered([crop], template)[0] else
-                       DARK_GLASSES if embedder.behind_dark_glasses([crop])[0] else
                        SMEARED if looks_smeared(crop) else "")
             if problem:
                 left_out.append("{}: {}".format(path.name, problem))
@@ -123,6 +122,8 @@ def _crop(pipeline: FacePipeline, picture: np.ndarray, begin: float) -> Tuple[Op
     crop = recognition.embedder.crop(picture, face.mesh)
     if judge_crop(face.mesh, face.pose, crop).template_quality < LEAST_QUALITY:
         return None, "the face is too small, blurred, dark, overexposed or turned away"
+    if face.dark_glasses:
+        return None, DARK_GLASSES
     return crop, ""
 
 

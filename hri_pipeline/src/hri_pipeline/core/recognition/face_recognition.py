@@ -87,8 +87,7 @@ class FaceRecognition:
         covered = self._covered(crops, stamp)
         self.recogniser.note_cover(covered, stamp)
         shown = [face_id for face_id in chosen if not covered.get(face_id)]
-        self.recogniser.note_dark_glasses(dict(zip(shown, self._embedder.behind_dark_glasses(
-            [crops[face_id] for face_id in shown]).tolist())))
+        self.recogniser.note_dark_glasses({face.id: face.dark_glasses for face in faces if face.id in shown})
         return self.recogniser.update(shown, [self.made[face_id] for face_id in shown],
                                       [self._qualities[face_id] for face_id in shown], stamp)
 
