@@ -11,7 +11,7 @@ import pytest
 from benchmarks.recognition import SIZE, template
 from benchmarks.store import write_locked
 from hri_pipeline.core.faces.analysis import FaceAnalysis
-from hri_pipeline.core.faces.crops import BLUR_PATIENCE_S, MotionBlur
+from hri_pipeline.core.faces.crops import BLUR_PATIENCE_S, MotionBlur, looks_smeared
 from hri_pipeline.core.faces.pipeline import FacePipeline
 from hri_pipeline.core.ids import IdGenerator, is_valid_id
 from hri_pipeline.core.image_rotation import ImageRotation
@@ -19,7 +19,7 @@ from hri_pipeline.core.recognition.face_identity import FaceEvidence, FaceTempla
 from hri_pipeline.core.recognition.face_recognition import FaceRecognition
 from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
-from hri_pipeline.core.recognition.recogniser import COVERED, DARK_GLASSES, NOT_SEEN_WELL, SAME, Recogniser
+from hri_pipeline.core.recognition.recogniser import COVERED, DARK_GLASSES, NOT_SEEN_WELL, SAME, SMEARED, Recogniser
 from hri_pipeline.core.recognition.store import KnownPerson
 from hri_pipeline.core.recognition.stored_gallery import open_gallery
 
@@ -885,16 +885,18 @@ def test_the_middle_of_the_crops_is_nearer_than_each_of_them():
     assert evidence.duration == pytest.approx(2.5) and evidence.good(0.7) == 6 and evidence.good(0.9) == 0
 
 
-def face_picture(seed=3, direction=None):
-    """A crop (112, 112, 3) with details of all sizes; direction: (x, y) along which it is blurred over 13 px."""
+def face_picture(seed=3, direction=None, reach=6):
+    """A crop (112, 112, 3) with details of all sizes; direction: (x, y) along which it is blurred, over `reach` px
+    either way."""
     random = np.random.default_rng(seed)
     layers = [cv2.resize(random.uniform(0, 85, (112 // side, 112 // side)).astype(np.float32), (112, 112),
                          interpolation=cv2.INTER_CUBIC) for side in (4, 8, 16)]
     picture = cv2.cvtColor(np.clip(np.sum(layers, axis=0), 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR)
     if direction is None:
         return picture
-    kernel = np.zeros((13, 13), np.float32)
-    cv2.line(kernel, tuple(6 - 6 * one for one in direction), tuple(6 + 6 * one for one in direction), 1.0)
+    kernel = np.zeros((2 * reach + 1, 2 * reach + 1), np.float32)
+    cv2.line(kernel, tuple(reach - reach * one for one in direction), tuple(reach + reach * one for one in direction),
+             1.0)
     return cv2.filter2D(picture, -1, kernel / kernel.sum())
 
 
@@ -906,6 +908,17 @@ def test_a_crop_is_blurred_by_motion_in_any_direction_against_sharp_ones_of_its_
     assert blur.is_blurred(face_picture(direction=direction), 2.0)
     assert not blur.is_blurred(cv2.GaussianBlur(face_picture(), (0, 0), 1.5), 2.1), "out of focus, or far away"
     assert blur.is_blurred(face_picture(direction=direction), 3.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("direction", [(1, 0), (0, 1), (1, 1), (1, -1)])
+def test_a_crop_tells_by_itself_that_motion_blurs_it(direction, seed):
+    noise = np.random.default_rng(seed).normal(0.0, 3.0, (112, 112, 1))
+    blurred = face_picture(seed, direction, 14)
+    assert looks_smeared(blurred) and looks_smeared(np.clip(blurred + noise, 0, 255).astype(np.uint8))
+    assert not looks_smeared(face_picture(seed))
+    for unsharp in (cv2.GaussianBlur(face_picture(seed), (0, 0), 3.0), np.full((112, 112, 3), 90, np.uint8)):
+        assert not looks_smeared(unsharp), "out of focus, or far away; nothing to see"
 
 
 def uneven_crops(*stamps):
@@ -1032,6 +1045,37 @@ def test_who_is_known_is_found_with_dark_glasses_and_no_view_is_learnt_of_them()
     assert people.show("f2", 1, True, 20.0) == person
     people.show("f3", 9, False, 1.0)
     assert len(recogniser.export(person).templates) == views
+
+
+def seen_by(recognition, face, who, direction, stamps, distance=0.05):
+    """Show a face of person `who`, blurred along `direction`; returns the person that it is taken for."""
+    recognition._embedder.embed = lambda crops: np.array([template(who, distance, 4) for _ in crops])
+    image = face_picture(direction=direction, reach=12)
+    for stamp in stamps:
+        recognition.keep([face])
+        if recognition.due({face: 0.9}, stamp):
+            recognition.look(image, [Mock(id=face, mesh=np.zeros((478, 3)), dark_glasses=False)], stamp)
+    return recognition.recogniser.person_of(face)
+
+
+def test_who_is_blurred_since_coming_into_view_is_not_learnt_until_that_ends():
+    """Of 25 people who were learnt so most had a second id when they stood."""
+    recognition = recognition_of(lambda crops: None)
+    recogniser = recognition.recogniser
+    assert seen_by(recognition, "f1", 1, (1, 0), np.arange(100.0, 110.0, STEP)) == ""
+    assert recogniser.unknown() == {"f1": SMEARED} and not recogniser.list_known()
+    with pytest.raises(ValueError, match="blurred by motion only"):
+        recogniser.enrol("f1")
+    assert seen_by(recognition, "f1", 1, None, np.arange(110.0, 114.0, STEP)) in recogniser.list_known()
+
+
+def test_who_is_known_is_found_though_blurred_and_no_view_is_learnt_of_that():
+    recognition = recognition_of(lambda crops: None)
+    person = seen_by(recognition, "f1", 1, None, np.arange(100.0, 106.0, STEP))
+    views = len(recognition.recogniser.export(person).templates)
+    assert seen_by(recognition, "f2", 1, (1, 0), np.arange(106.0, 126.0, STEP), 0.3) == person
+    seen_by(recognition, "f3", 9, None, np.arange(126.0, 127.0, STEP))
+    assert len(recognition.recogniser.export(person).templates) == views
 
 
 def test_the_network_is_asked_what_is_covered_only_where_no_sure_name_agrees_and_seldom_of_a_mask():

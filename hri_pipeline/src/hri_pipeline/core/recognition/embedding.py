@@ -49,6 +49,9 @@ _CENTRE = tuple(0.001 * number for number in (
 
 _LOWER_FACE = (0.45, 0.98, 0.15, 0.85)
 """Where dlib's crop shows the face from the middle of the nose down."""
+COLOURED = 0.2
+"""Mean of the weakest colour of a face over that of the strongest, below which its light is coloured. Of 45 people in
+photographs one has .24, all others .35 and more."""
 
 
 @dataclass(frozen=True)
@@ -176,6 +179,7 @@ class FaceEmbedder:
             crop = np.asarray(crop)
             if crop.ndim != 3 or crop.shape[2] != 3 or crop.dtype != np.uint8 or not crop.size:
                 raise ValueError("a crop is {} {}, it must be (S, S, 3) uint8 BGR".format(crop.shape, crop.dtype))
+            crop = without_coloured_light(crop)
             if crop.shape[:2] != (self.size, self.size):
                 crop = cv2.resize(crop, (self.size, self.size), interpolation=cv2.INTER_AREA)
             place[...] = cv2.cvtColor(crop, cv2.COLOR_BGR2RGB) if self._kind.rgb else crop
@@ -194,6 +198,16 @@ def _upside_down(crop: np.ndarray, part: Sequence[float]) -> np.ndarray:
     turned = crop.copy()
     turned[top:bottom, left:right] = crop[top:bottom, left:right][::-1]
     return turned
+
+
+def without_coloured_light(crop: np.ndarray) -> np.ndarray:
+    """Return a crop (S, S, 3) uint8 BGR, in grey if its light is coloured: so networks know faces better than in blue
+    or red, where people are unlike themselves and like each other."""
+    edge = len(crop) // 5
+    means = cv2.mean(crop[edge:len(crop) - edge, edge:crop.shape[1] - edge])[:3]
+    if min(means) >= COLOURED * max(means):
+        return crop
+    return cv2.cvtColor(cv2.cvtColor(crop, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
 
 
 def load_face_embedder(configured: str = "", providers: Sequence[str] = ("cpu",),

@@ -14,14 +14,14 @@ import cv2
 import numpy as np
 
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.faces.crops import judge_crop
+from hri_pipeline.core.faces.crops import judge_crop, looks_smeared
 from hri_pipeline.core.faces.parameters import FACES
 from hri_pipeline.core.faces.pipeline import FacePipeline
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.privacy import StoreError
 from hri_pipeline.core.recognition.gallery import MAX_TEMPLATES
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
-from hri_pipeline.core.recognition.recogniser import COVERED, DARK_GLASSES
+from hri_pipeline.core.recognition.recogniser import COVERED, DARK_GLASSES, SMEARED
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson
 
 ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".webp")
@@ -76,8 +76,10 @@ def templates_of(paths: Sequence[Path], model: str = "") -> PhotographTemplates:
                 left_out.append("{}: {}".format(path.name, problem))
                 continue
             template = embedder.embed([crop])
-            if embedder.covered([crop], template)[0]:
-                left_out.append("{}: {}".format(path.name, COVERED))
+            problem = (COVERED if embedder.covered([crop], template)[0] else
+                       SMEARED if looks_smeared(crop) else "")
+            if problem:
+                left_out.append("{}: {}".format(path.name, problem))
                 continue
             templates.append(template[0])
             used.append(path.name)

@@ -64,9 +64,9 @@ BETTER = 0.15
 """A crop whose quality exceeds the best one so far by this much gets a template early."""
 LEARN_CROPS, LEARN_QUALITY = 4, 0.5
 """How many crops of which quality show a face well enough to make a person of it."""
-HIDDEN_EYES = 0.98 * LEARN_QUALITY
-"""Most quality of a crop with dark glasses: enough to find somebody known. Of 25 people who were learnt with drawn ones
-4 to 9 got a second id without them."""
+NOT_LEARNT = 0.98 * LEARN_QUALITY
+"""Most quality of a crop with dark glasses, or blurred by motion: enough to find somebody known. Of 25 people who were
+learnt with drawn glasses 4 to 9 got a second id without them, of 25 who were learnt blurred 19 to 24 when sharp."""
 SHAPE_WINDOW_S, SHAPE_PERIOD_S = 6.0, 0.2
 """Time (s) over which shapes are compared, and the least between two of them."""
 LEAST_SHAPES = 20
@@ -276,6 +276,7 @@ class FaceIdentity:
     passed_over : time (s) of the last crop that was too blurred for a template.
     is_covered : the last crop did not show nose and mouth, so it made no template.
     has_dark_glasses : its eyes were behind dark glasses in the last crop.
+    is_smeared : the last crop was blurred by motion, as far as it tells that by itself.
     open : time (s) of the last crop of which it was asked, and that showed them.
     crops : number of crops so far.
     person : id of the person it is taken for, empty when that is not known.
@@ -302,6 +303,7 @@ class FaceIdentity:
     passed_over: float = -math.inf
     is_covered: bool = False
     has_dark_glasses: bool = False
+    is_smeared: bool = False
     open: float = -math.inf
     crops: int = 0
     person: str = ""
@@ -340,9 +342,15 @@ class FaceIdentity:
         """Return whether the face was seen just before `now` (s)."""
         return now - self.last_seen <= TOGETHER
 
+    @property
+    def is_unlike_itself(self) -> bool:
+        """Whether nothing is learnt of the last crop."""
+        return self.has_dark_glasses or self.is_smeared
+
     def usable(self, quality: float) -> float:
-        """Return the quality of a crop as it counts: too little to learn of it where dark glasses hide the eyes."""
-        return min(quality, HIDDEN_EYES) if self.has_dark_glasses else quality
+        """Return the quality of a crop as it counts: too little to learn of it with dark glasses, or where it is
+        blurred."""
+        return min(quality, NOT_LEARNT) if self.is_unlike_itself else quality
 
     def interval(self, quality: float) -> float:
         """Return the time (s) to the next crop, of this quality: short while there is something to decide, and for one
@@ -353,7 +361,8 @@ class FaceIdentity:
         if (self.doubt.level > 0.0 or is_better) and not self.is_covered:
             return FIRST_INTERVAL
         patience = PATIENCE if self.person or self.is_covered else 2 * PATIENCE
-        longest = self.named_interval if self.person or self.is_covered or self.has_dark_glasses else LONGEST_INTERVAL
+        is_to_change = self.is_covered or self.is_unlike_itself
+        longest = self.named_interval if self.person or is_to_change else LONGEST_INTERVAL
         return float(min(FIRST_INTERVAL * 1.5 ** min(50, max(0, self.crops - patience)), longest))
 
     def is_due(self, quality: float, stamp: float) -> bool:

@@ -13,6 +13,7 @@ from typing import Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
+from hri_pipeline.core.faces.crops import looks_smeared
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.recognition.face_identity import (
@@ -47,6 +48,8 @@ COVERED = "nose and mouth are covered"
 """The same, of somebody with a mask or scarf."""
 DARK_GLASSES = "dark glasses"
 """The same, where they hide the eyes."""
+SMEARED = "blurred by motion"
+"""The same, since it came into view."""
 OPEN_S = 1.0
 """Time (s) for which a face that showed nose and mouth is not asked again."""
 SAME = 0.95
@@ -125,13 +128,17 @@ class Recogniser:
 
     def is_blurred(self, face_id: str, crop: np.ndarray, stamp: float) -> bool:
         """Tell whether a crop (S, S, 3) uint8 BGR of a face is blurred by motion, so that a template of it would speak
-        against the right name; the face stays due, after the others."""
+        against the right name; the face stays due, after the others. Of one that was never seen sharp templates are
+        made, but nothing is learnt."""
         with self._lock:
             face = self._faces.get(face_id)
-            if face is None or not face.blur.is_blurred(crop, stamp):
+            if face is None:
                 return False
-            face.passed_over = stamp
-            return True
+            if face.blur.is_blurred(crop, stamp):
+                face.passed_over = stamp
+                return True
+            face.is_smeared = looks_smeared(crop)
+            return False
 
     def asks_for_cover(self, face_id: str, template: np.ndarray, stamp: float) -> bool:
         """Tell whether it is to be asked if a crop at `stamp` (s) shows nose and mouth: not while the face has a sure
@@ -280,9 +287,10 @@ class Recogniser:
             template = face.evidence.mean() if face is not None else None
             if face is None or template is None or len(face.evidence) < NAMING_CROPS:
                 raise GalleryError("face {!r} is not tracked, or has not been seen well enough yet".format(face_id))
-            if face.has_dark_glasses and not face.evidence.good(LEARN_QUALITY) and not confirm:
-                raise GalleryError("face {!r} has been seen with dark glasses only: take them off, or confirm".format(
-                    face_id))
+            if face.is_unlike_itself and not face.evidence.good(LEARN_QUALITY) and not confirm:
+                raise GalleryError("face {!r} has been seen {}, or confirm".format(
+                    face_id, "with dark glasses only: take them off" if face.has_dark_glasses else
+                    "blurred by motion only: wait until it holds still"))
             person_id = person_id or ("" if confirm else face.person) or self._new_id()
             alike = [one.person_id for one in self.gallery.alike(
                 template, self.gallery.calibration.fair_midpoint, person_id) if one.person_id not in face.apart]
@@ -486,7 +494,8 @@ class Recogniser:
         if face.barred:
             return "forgotten while in view"
         if evidence.good(LEARN_QUALITY) < LEARN_CROPS:
-            return COVERED if face.is_covered else DARK_GLASSES if face.has_dark_glasses else NOT_SEEN_WELL
+            return (COVERED if face.is_covered else DARK_GLASSES if face.has_dark_glasses else
+                    SMEARED if face.is_smeared else NOT_SEEN_WELL)
         if evidence.duration < self.learn_delay:
             return "seen for {:.1f} of {:g} s".format(evidence.duration, self.learn_delay)
         if face.is_picture:
