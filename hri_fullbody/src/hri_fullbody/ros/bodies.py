@@ -267,7 +267,7 @@ class BodyProcessor:
 
 
 def _prepare() -> None:
-    """Make ready what no body has to wait for: the colours of clothes, and the search for joints that few limbs need."""
+    """Make ready what no body is to wait for: the colours of clothes, and the search for joints that few limbs need."""
     prepare_colours()
     importlib.import_module("hri_fullbody.core.kinematics.ikpy_backend")
 
