@@ -224,7 +224,10 @@ class CameraModel:
         """
         pixels = self._sheared(np.asarray(pixels, dtype=np.float64).reshape(-1, 2), -1.0)
         if not self.distortion.size and self.distortion_model != EQUIDISTANT:
-            return (pixels - self.matrix[:2, 2]) / self.matrix[[0, 1], [0, 1]]
+            rays = np.empty_like(pixels)
+            rays[:, 0] = (pixels[:, 0] - self.matrix[0, 2]) / self.matrix[0, 0]
+            rays[:, 1] = (pixels[:, 1] - self.matrix[1, 2]) / self.matrix[1, 1]
+            return rays
         if len(pixels) == 0:
             return np.zeros((0, 2))
         points = np.ascontiguousarray(pixels[:, None, :])
