@@ -23,6 +23,7 @@ from hri_fullbody.core.kinematics.forward import forward
 from hri_fullbody.core.model.anthropometry import SegmentTable
 from hri_fullbody.core.model.human import Dimensions, layout_for
 from hri_fullbody.core.modeller import BodyInput, BodyModeller
+from hri_fullbody.core.parameters import BODIES
 from hri_fullbody.core.tracking.reidentification import Reidentification
 from hri_fullbody.ros import bodies
 from hri_fullbody.ros.bodies import BodyProcessor, ReidentificationMatches, body_transform, drawn
@@ -222,6 +223,17 @@ def test_nothing_is_told_of_an_image_after_which_the_time_has_gone_back(overtake
     processor._publish = lambda *about: BodyProcessor._publish(processor, *about)
     BodyProcessor.process(processor, replace(FRAME, overtaken=lambda: overtaken), {})
     assert processor._tracked.set.called == processor._publish_models.called == processor._guard.each.called == told
+
+
+def test_the_first_body_need_not_wait_for_what_takes_long_the_first_time(monkeypatch):
+    is_prepared = threading.Event()
+    for name in ("BodyPipeline", "StatePublishers", "BodyTopics", "TrackedList", "TfPublisher", "FaceInput",
+                 "ReidentificationMatches", "ModelLog"):
+        monkeypatch.setattr(bodies, name, MagicMock())
+    monkeypatch.setattr(rospy, "Publisher", MagicMock())
+    monkeypatch.setattr(bodies, "prepare_colours", is_prepared.set)
+    BodyProcessor(BODIES.resolve({}))
+    assert is_prepared.wait(60.0)
 
 
 def test_faces_of_another_process_are_forgotten_with_the_bodies_and_none_are_expected_without_it():

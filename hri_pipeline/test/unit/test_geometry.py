@@ -25,6 +25,14 @@ def test_inverse():
     np.testing.assert_allclose(unit.translation, 0.0, atol=1e-12)
 
 
+def test_moved():
+    a, way = random_pose(3), np.array([1.0, -2.0, 3.0])
+    points = np.random.default_rng(0).normal(size=(5, 3))
+    before = a.translation.copy()
+    np.testing.assert_allclose(a.moved(way).apply(points), a.apply(points) + way, atol=1e-12)
+    assert (a.translation == before).all()
+
+
 def test_quaternion_round_trip_and_normalisation():
     a = random_pose(4)
     b = Pose.from_quaternion(3.0 * np.array(a.quaternion), a.translation)

@@ -368,6 +368,23 @@ def test_new_views_are_learnt_only_when_sure():
     assert len(scene.gallery.export("anna").templates) == 2
 
 
+def test_a_view_is_offered_to_the_gallery_once_for_each_template_and_each_change_of_the_gallery(monkeypatch):
+    scene = Scene()
+    scene.show({"f1": (1, 0.1)}, 10.0)
+    offered = []
+    monkeypatch.setattr(scene.gallery, "add_template", lambda person, view: offered.append(person))
+    person, looks = scene.person("f1"), scene.looks
+    for _ in range(20):
+        scene.recogniser.changes()
+    assert person and not offered, "neither the face nor the gallery has changed"
+    scene.show({"f1": (1, 0.1)}, 10.0)
+    assert scene.looks > looks and len(offered) == scene.looks - looks
+    scene.gallery.add_person("bert", template(2)[None])
+    scene.recogniser.changes()
+    scene.recogniser.changes()
+    assert len(offered) == scene.looks - looks + 1
+
+
 def test_who_is_only_likely_somebody_does_not_become_sure_by_views_of_the_own_face():
     scene = Scene()
     scene.gallery.add_person("anna", template(1)[None])

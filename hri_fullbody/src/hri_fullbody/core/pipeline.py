@@ -455,8 +455,8 @@ class BodyPipeline:
             return None
         if body.measured or body.pose is None or last.origin is None:
             return last.model
-        moved = body.pose.translation - last.origin
-        return replace(last.model, pose=_shifted(last.model.pose, moved), head=_shifted(last.model.head, moved))
+        way = body.pose.translation - last.origin
+        return replace(last.model, pose=last.model.pose.moved(way), head=last.model.head.moved(way))
 
     def behaviour(self, body_id: str, stamp: float) -> Optional[BodyBehaviour]:
         """Return what a body expresses in the image of `stamp` (s), None when it was not detected in that image."""
@@ -564,7 +564,3 @@ class BodyPipeline:
         for known in (self._recognizers, self._last_models, self._pointers):
             for gone in [body_id for body_id in known if body_id not in ids]:
                 del known[gone]
-
-
-def _shifted(pose: Pose, by: np.ndarray) -> Pose:
-    return Pose(pose.rotation, pose.translation + by)

@@ -22,7 +22,7 @@ from hri_fullbody.core.model.urdf import make_urdf
 from hri_fullbody.core.modeller import ModelledBody, turned_model
 from hri_fullbody.core.parameters import BodiesSettings
 from hri_fullbody.core.pipeline import BodyPipeline
-from hri_fullbody.core.tracking.reidentification import Reidentification
+from hri_fullbody.core.tracking.reidentification import Reidentification, prepare_colours
 from hri_fullbody.ros.state_publishers import StatePublishers
 from hri_fullbody.ros.topics import NAMESPACE, BodyTopics, pointing_message, skeleton_markers
 from hri_msgs.msg import IdsList, IdsMatch, PointingStamped
@@ -93,9 +93,7 @@ class BodyProcessor:
         self._quarters = 0
         self._turned = ""
         self._closed = False
-        # Few limbs need it, and no body has to wait for it.
-        threading.Thread(target=importlib.import_module, args=("hri_fullbody.core.kinematics.ikpy_backend",),
-                         name="ikpy", daemon=True).start()
+        threading.Thread(target=_prepare, name="prepare", daemon=True).start()
 
     @property
     def person_detector(self) -> PersonDetector:
@@ -266,6 +264,12 @@ class BodyProcessor:
         names = self._pipeline.layout.joint_names
         self._transforms.send(self._guard.each("body", lambda model: body_transform(model, frame), models))
         self._guard.each("body", lambda model: self._topics.publish_joints(model, names, frame), models)
+
+
+def _prepare() -> None:
+    """Make ready what no body is to wait for: the colours of clothes, and the search for joints that few limbs need."""
+    prepare_colours()
+    importlib.import_module("hri_fullbody.core.kinematics.ikpy_backend")
 
 
 class ReidentificationMatches:

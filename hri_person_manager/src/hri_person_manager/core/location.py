@@ -281,7 +281,7 @@ class CoastingMotion:
             return place
         time = min(elapsed, self._coast_time)
         way = self._velocity * (time - 0.5 * time * time / self._coast_time)
-        return replace(place, pose=Pose(place.pose.rotation, place.pose.translation + way))
+        return replace(place, pose=place.pose.moved(way))
 
     @property
     def velocity(self) -> np.ndarray:

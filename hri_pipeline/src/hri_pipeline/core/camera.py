@@ -224,12 +224,11 @@ class CameraModel:
             x/z and y/z; of a fisheye camera at most tan(88 deg) from the axis.
         """
         pixels = self._sheared(np.asarray(pixels, dtype=np.float64).reshape(-1, 2), -1.0)
-        if not np.any(self.distortion):
+        if not self.distortion.size and self.distortion_model != EQUIDISTANT:
             rays = np.empty_like(pixels)
-            if self.distortion_model != EQUIDISTANT:
-                rays[:, 1] = (pixels[:, 1] - self.matrix[1, 2]) / self.matrix[1, 1]
-                rays[:, 0] = (pixels[:, 0] - self.matrix[0, 2]) / self.matrix[0, 0]
-                return rays
+            rays[:, 0] = (pixels[:, 0] - self.matrix[0, 2]) / self.matrix[0, 0]
+            rays[:, 1] = (pixels[:, 1] - self.matrix[1, 2]) / self.matrix[1, 1]
+            return rays
         if len(pixels) == 0:
             return np.zeros((0, 2))
         points = np.ascontiguousarray(pixels[:, None, :])
@@ -331,19 +330,24 @@ class CameraModel:
         None where it is not known or makes no difference: of a camera that is not calibrated, of points that are not
         finite or in one place, near the edge of the model of the lens or a right angle, and near the optical axis.
         """
-        low, high = lowest_highest(pixels)
-        if not self.is_calibrated or not all(map(math.isfinite, (*low.tolist(), *high.tolist()))):
+        if not self.is_calibrated:
             return None
-        box = low + _BOX * (high - low)
+        low, high = lowest_highest(pixels)
+        (x0, y0), (x1, y1) = low.tolist(), high.tolist()
+        width, height = x1 - x0, y1 - y0
+        if not math.isfinite(width + height):
+            return None
+        box = low + _BOX * (width, height)
         rays = self.normalise(box)
-        x, y = rays.mean(axis=0).tolist()
-        if not (_AHEAD < math.hypot(x, y) < math.inf and (high - low).min() >= 1.0 and self._holds(box, rays)):
+        x, y = (rays.sum(axis=0) / len(rays)).tolist()
+        if not (_AHEAD < math.hypot(x, y) < math.inf and min(width, height) >= 1.0 and self._holds(box, rays)):
             return None
         seen, turn = _seen_ahead(rays)
-        if not self._shows(turn, float((seen.max(axis=0) - seen.min(axis=0)).max())):
+        across, down = zip(*seen.tolist())
+        if not self._shows(turn, max(max(across) - min(across), max(down) - min(down))):
             return None
         # As large as in the image, in area: what is told in px there means the same.
-        focal = math.sqrt((high - low).prod() / max(_area(seen), 1e-12))
+        focal = math.sqrt(width * height / max(_area(seen), 1e-12))
         if self.distortion.size or self.distortion_model == EQUIDISTANT:
             return FacingView(self, turn, focal, None)
         return FacingView(self, turn, focal, cv2.getPerspectiveTransform(
@@ -433,8 +437,7 @@ class FacingView:
 
     def see(self, pixels: np.ndarray) -> np.ndarray:
         """Map pixels (N, 2) of the image to the view: (N, 2) px from its middle."""
-        rays = self.camera.normalise(pixels)
-        ahead = np.concatenate([rays, np.ones((len(rays), 1))], axis=1) @ self.turn.T
+        ahead = _turned(self.camera.normalise(pixels), self.turn)
         return np.asarray(self.focal * ahead[:, :2] / np.maximum(ahead[:, 2:], _LEAST_AHEAD))
 
     def back(self, points: np.ndarray) -> np.ndarray:
@@ -477,13 +480,19 @@ def _polynomials(size: int) -> np.ndarray:
 
 def _seen_ahead(rays: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
     """Return rays (N, 2) as a camera sees them that looks at their middle, and the turn (3, 3) to its frame."""
-    directions = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
-    directions /= np.sqrt((directions * directions).sum(axis=1, keepdims=True))
-    x, y, z = directions.mean(axis=0).tolist()
+    across, down = rays.T
+    lengths = np.sqrt(across * across + down * down + 1.0)
+    shares = 1.0 / lengths
+    x, y, z = float(across @ shares), float(down @ shares), float(shares.sum())     # sum of the unit vectors
     length = math.sqrt(x * x + y * y + z * z)
     turn = turn_ahead(x / length, y / length, z / length)
-    ahead = directions @ turn.T
-    return ahead[:, :2] / np.maximum(ahead[:, 2:], _LEAST_AHEAD), turn
+    ahead = _turned(rays, turn)
+    return ahead[:, :2] / np.maximum(ahead[:, 2:], _LEAST_AHEAD * lengths[:, None]), turn
+
+
+def _turned(rays: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """Return directions (N, 3) of rays (N, 2), at z = 1, turned by a matrix (3, 3)."""
+    return np.asarray(rays @ turn[:, :2].T + turn[:, 2])
 
 
 def _area(corners: np.ndarray) -> float:

@@ -55,6 +55,10 @@ class Pose:
         turned_back = self.rotation.T
         return _trusted_pose(turned_back, (-turned_back).dot(self.translation))
 
+    def moved(self, way: np.ndarray) -> "Pose":
+        """Return the pose moved by (3,) m in the parent frame."""
+        return _trusted_pose(self.rotation, self.translation + way)
+
     def apply(self, points: np.ndarray) -> np.ndarray:
         """Map points (N, 3) in the child frame to (N, 3) in the parent frame, m."""
         return np.asarray(points, dtype=np.float64) @ self.rotation.T + self.translation

@@ -362,7 +362,7 @@ class BodyLocalizer:
         elif not measured:
             way = self._shift(velocity, age, face)
             in_space = np.add(in_space, way)
-            pose = None if pose is None else Pose(pose.rotation, pose.translation + way)
+            pose = None if pose is None else pose.moved(way)
         keypoints = np.empty((18, 3))
         np.add(still.keypoints, moved, out=keypoints[:, :2])
         keypoints[:, 2] = confidence_18(estimate.confidence[:BODY_LANDMARKS])

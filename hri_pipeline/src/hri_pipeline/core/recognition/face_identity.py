@@ -293,6 +293,7 @@ class FaceIdentity:
     blur : whether a crop is blurred by motion.
     is_picture : it is a picture of the person beside it, so it is nobody.
     later_view : template (D,) that is learnt of the person once the face has left, None without one.
+    learnt_after : the comparison after which its mean was offered to the gallery.
     named_interval : time (s) between two crops after many of them while it has a name.
     """
 
@@ -320,6 +321,7 @@ class FaceIdentity:
     blur: MotionBlur = field(default_factory=MotionBlur)
     is_picture: bool = False
     later_view: Optional[np.ndarray] = None
+    learnt_after: Optional[MatchResult] = None
     named_interval: float = NAMED_INTERVAL
 
     @property
@@ -444,7 +446,7 @@ class FaceIdentity:
         is_sure = best is not None and best.likelihood >= enough and len(self.evidence) >= NAMING_CROPS
         self.person = best.person_id if is_sure and best is not None else ""
         if self.person != before:
-            self.later_view = None
+            self.later_view = self.learnt_after = None
             self.doubt.clear()
             self.unlike.clear()
             self.refuted.discard(self.person)

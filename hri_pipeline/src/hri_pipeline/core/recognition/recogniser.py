@@ -463,6 +463,9 @@ class Recogniser:
                 self._make_person(face, mean)
 
     def _learn_view(self, face: FaceIdentity, mean: np.ndarray) -> None:
+        if face.learnt_after is face.result:
+            return      # neither its templates nor the gallery have changed: it would refuse them again
+        face.learnt_after = face.result
         first = face.candidates[0]
         near = self.gallery.calibration.midpoint - 4.0 * self.gallery.calibration.scale
         if first.person_id != face.person or first.likelihood < ACCEPT or first.distance > near:
