@@ -3,8 +3,8 @@ nothing else tells.
 
 What is compared is the steered response power (SRP-PHAT, see core/audio/localisation.py) in its strongest direction,
 with the channels as they are, and with two of them exchanged or one turned over; the channels as they are may fit
-somebody near as well, of whom no plane wave comes. An order that turns or mirrors the
-array only turns or mirrors all directions: no sound tells it.
+somebody near as well, of whom no plane wave comes. An order that turns or mirrors the array only turns or mirrors all
+directions: no sound tells it.
 """
 
 from __future__ import annotations
