@@ -305,8 +305,8 @@ class PersonServices:
         return ForgetResponse(True, "{} is forgotten".format(request.id))
 
     def _one_human(self, person_id: str) -> List[str]:
-        """The id and the others of the same human, there or not: all that are joined with it, and in the store its alias
-        and those whose alias it or that one is; no other anonymous ones."""
+        """The id and the others of the same human, there or not: all that are joined with it, and in the store their
+        aliases and those whose alias one of them is; no other anonymous ones."""
         if not person_id:       # which is the alias of whoever has none
             raise RegisterError("there is no known person ''")
         human = {person_id} | self._manager.joined(person_id)     # also where the id was an anonymous one

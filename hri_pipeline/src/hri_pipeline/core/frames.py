@@ -275,9 +275,9 @@ class FrameHistory:
     def _between_frames(self, target: str, frame: str) -> Iterator[Tuple[str, List[_Link]]]:
         """Yield what is known of each frame on the way that was heard of twice at least; none without a way."""
         below, above = list(self._known_until(frame)), list(self._known_until(target))
-        common = next((ancestor for ancestor in above if ancestor in below), None)
-        for way in (below, above) if common is not None else ():
-            yield from ((link, self._moving[link]) for link in way[:way.index(common)]
+        common = [ancestor for ancestor in above if ancestor in below][:1]
+        for way in (below, above):
+            yield from ((link, self._moving[link]) for ancestor in common for link in way[:way.index(ancestor)]
                         if len(self._moving.get(link, ())) > 1)
 
     def _moves(self, frame: str, links: List[_Link]) -> bool:
