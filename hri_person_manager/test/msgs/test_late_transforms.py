@@ -51,9 +51,9 @@ def angle(stamp):
                      for sign, part in ((1.0, there), (-1.0, back)))
 
 
-def places(clock, late, until=104.0, told=None):
+def places(clock, late, until=104.0, told=None, comes=lambda stamp: True):
     """Places in map, and delays (s), of a face that stands still before a camera that pans; told: takes of whom it is
-    told meanwhile that its transforms are late."""
+    told meanwhile that its transforms are late; comes(stamp): whether there is a transform of that time (s)."""
     found = []
     source = TfInput("map", 0.5, lambda poses: found.extend(
         (reference.place(pose), clock["now"] - pose.secs - 1e-9 * pose.nsecs) for pose in poses))
@@ -62,7 +62,7 @@ def places(clock, late, until=104.0, told=None):
     source.lookup("camera", rospy.Time(100))
     for step in range(int((until - 100.0) * 100.0)):
         now = clock["now"] = 100.0 + step / 100.0
-        if step % 2 == 0 and now - late >= 100.0:
+        if step % 2 == 0 and now - late >= 100.0 and comes(now - late):
             turn = angle(now - late)
             give(source, "map", "camera", (0.0, 0.0, 0.0), (0.0, 0.0, math.sin(turn / 2.0), math.cos(turn / 2.0)),
                  now - late)
@@ -77,13 +77,21 @@ def places(clock, late, until=104.0, told=None):
     return found
 
 
-@pytest.mark.parametrize("late, said", [(0.0, set()), (LATE_S, set()), (0.4, {"camera"}), (0.7, {"camera"})])
+@pytest.mark.parametrize("late, said", [(0.0, set()), (LATE_S, set()), (0.4, {"camera"}), (0.7, {"camera"}),
+                                        (1.5, {"camera"}), (5.0, {"camera"})])
 def test_transforms_that_come_too_late_of_a_camera_that_moves_are_told(clock, monkeypatch, late, said):
     """People moved with the camera by up to 0.5 m, without a word."""
     monkeypatch.setattr(inputs.time, "monotonic", lambda: clock["now"])
     told = set()
-    places(clock, late, told=told)
+    places(clock, late, 104.0 + late, told)
     assert told == said
+
+
+def test_transforms_that_come_only_while_the_camera_moves_are_not_late(clock, monkeypatch):
+    monkeypatch.setattr(inputs.time, "monotonic", lambda: clock["now"])
+    told = set()
+    places(clock, 0.02, 106.0, told, lambda stamp: stamp < 102.0 or 102.5 < stamp < 103.5)
+    assert told == set()
 
 
 def test_a_person_stands_still_though_the_transforms_come_later_than_the_images(clock):

@@ -13,7 +13,7 @@ import pytest
 from hri_person_manager.core import persons
 from hri_person_manager.core.features import FeaturePose, Kind, MatchNode, PlaceSource
 from hri_person_manager.core.manager import PersonManager
-from hri_person_manager.core.match_graph import MatchGuard
+from hri_person_manager.core.match_graph import CandidateMatch, MatchGuard
 from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
 from hri_person_manager.core.persons import PersonState, Snapshot
 from hri_person_manager.core.register import PersonRecord, PersonRegister, RegisterError
@@ -235,6 +235,20 @@ def test_who_is_forgotten_by_an_anonymous_id_is_forgotten_as_the_known_person_to
     assert services._forget(ForgetRequest(id=person)).success
     assert services._register.records == [] and "ada" not in services._manager.snapshot(2.0).known
     assert {call.args for call in services._galleries.call.call_args_list} == {("forget", "ada"), ("forget", person)}
+
+
+@pytest.mark.parametrize("said", ["ada", "bob", "cat"])
+def test_whom_recognisers_have_joined_are_forgotten_together_also_when_none_is_there(at_two, said):
+    """Of ids that are joined by way of another one, those who were not there stayed known, and in the galleries."""
+    services, _ = services_with_somebody(GalleryResponse(success=True))
+    services._manager.know(["ada", "bob", "cat"])
+    for other in ("ada", "cat"):
+        services._manager.on_match(CandidateMatch(MatchNode(Kind.PERSON, "bob"), MatchNode(Kind.PERSON, other), 0.9),
+                                   2.0)
+    assert services._forget(ForgetRequest(id=said)).success
+    assert not {"ada", "bob", "cat"} & set(services._manager.snapshot(2.0).known)
+    assert {call.args for call in services._galleries.call.call_args_list} == {
+        ("forget", person) for person in ("ada", "bob", "cat")}
 
 
 def test_an_export_holds_what_recognisers_keep_under_all_ids_of_a_human(at_two):

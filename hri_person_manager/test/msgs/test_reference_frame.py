@@ -37,9 +37,9 @@ class Sensors:
     def __init__(self, *connected):
         self.connected = connected
 
-    def is_late(self, sensor, stamp):
+    def moves_until(self, sensor):
         """Tell that none is."""
-        return False
+        return None
 
     def lookup(self, sensor, stamp):
         return HERE if sensor in self.connected else None
@@ -106,7 +106,7 @@ def test_the_remedy_where_the_turn_to_the_optical_frame_was_forgotten_is_the_tur
 
 
 def test_a_level_reference_frame_is_none_of_a_camera():
-    reference = ReferenceFrame("map", MagicMock(lookup=lambda sensor, stamp: LEVEL))
+    reference = ReferenceFrame("map", MagicMock(lookup=lambda sensor, stamp: LEVEL, moves_until=lambda sensor: None))
     assert not see(reference, UPRIGHT).is_optical and not reference.problem
     lying = Pose(np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]]), np.array([0.0, 0.0, 2.0]))
     assert LEVEL.compose(lying).rotation[1, 2] == -1.0
@@ -122,7 +122,7 @@ def test_a_small_robot_that_looks_up_to_who_bends_over_it_keeps_its_level_refere
     sine, cosine = np.sin(np.radians(elevation)), np.cos(np.radians(elevation))
     up = Pose(np.array([[1.0, 0.0, 0.0], [0.0, sine, cosine], [0.0, -cosine, sine]]), np.array([3.0, 1.0, 0.2]))
     assert up.rotation[2, 2] == pytest.approx(sine)
-    reference = ReferenceFrame("map", MagicMock(lookup=lambda sensor, stamp: up))
+    reference = ReferenceFrame("map", MagicMock(lookup=lambda sensor, stamp: up, moves_until=lambda sensor: None))
     assert not see(reference, UPRIGHT, sensor="camera_optical").is_optical and not reference.problem
 
 

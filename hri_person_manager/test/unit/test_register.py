@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import sys
+import threading
 import time
 from contextlib import contextmanager
 from itertools import count
@@ -155,6 +157,40 @@ def test_what_was_said_of_somebody_merged_is_said_of_whom_all_see():
     people.set_alias("bob", "ann")
     people.forget("bob")
     assert people.said_of("ann") == ("", "")
+
+
+def test_what_is_said_of_somebody_can_be_asked_for_while_others_come_and_go():
+    """The thread that opens topics asks for it; it got an error, or a name too few for as long as nobody was merged."""
+    book, _ = register()
+    book.seen(["ann", "bob"], 1.0)
+    book.set_name("bob", "Bob")
+    book.set_alias("bob", "ann")
+    asked, wrong = threading.Event(), []
+
+    def ask():
+        try:
+            while not asked.is_set():
+                if book.said_of("ann") != ("Bob", ""):
+                    wrong.append("no name")
+        except Exception as error:
+            wrong.append(error)
+
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    thread = threading.Thread(target=ask)
+    thread.start()
+    try:
+        for _ in range(20):
+            for number in range(100):
+                book.seen(["p%d" % number], 1.0)
+                book.set_alias("p%d" % number, "p0" if number else "")
+            for number in range(100):
+                book.forget("p%d" % number)
+    finally:
+        asked.set()
+        thread.join()
+        sys.setswitchinterval(before)
+    assert not wrong
 
 
 def test_nobody_is_an_alias_of_the_empty_id():

@@ -183,8 +183,7 @@ class PersonManager:
         The representative of `person_id` stays, unless it is anonymous and the other is not. ValueError when one of
         them does not exist.
         """
-        person_id, other = (self._table.aliases[name].target if name in self._table.aliases else name
-                            for name in (person_id, other))
+        person_id, other = self._continued(person_id), self._continued(other)
         for name in (person_id, other):
             if name not in self._table.persons and name not in self._known:
                 raise ValueError("there is no person {!r}".format(name))
@@ -202,8 +201,16 @@ class PersonManager:
 
     def representative(self, person_id: str) -> str:
         """Return the person that stands for this one when all are there with whom it is joined."""
+        return self._merges.representative_of_all(self._continued(person_id), self._rank)
+
+    def joined(self, person_id: str) -> Set[str]:
+        """Return all permanent persons with whom this one is joined, there or not, itself where it is one."""
+        return set(filter(self.is_permanent, self._merges.joined(self._continued(person_id))))
+
+    def _continued(self, person_id: str) -> str:
+        """Return the person that goes on as this one, itself where it is no former anonymous one."""
         alias = self._table.aliases.get(person_id)
-        return self._merges.representative_of_all(alias.target if alias is not None else person_id, self._rank)
+        return person_id if alias is None else alias.target
 
     def is_permanent(self, person_id: str) -> bool:
         """Tell whether a person is known by more than its present features."""

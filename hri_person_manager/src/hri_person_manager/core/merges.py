@@ -225,7 +225,11 @@ class Merges:
 
     def representative_of_all(self, person_id: str, rank: Callable[[str], Tuple]) -> str:
         """The person of least `rank` of all that this one is joined with, present or not."""
-        return min(_reachable(person_id, self._neighbours()), key=rank)
+        return min(self.joined(person_id), key=rank)
+
+    def joined(self, person_id: str) -> Set[str]:
+        """Return a person and all with whom it is joined, present or not, also by way of others."""
+        return _reachable(person_id, self._neighbours())
 
     def representative(self, person_id: str) -> str:
         """The person that stands for this one: itself unless it is an alias."""

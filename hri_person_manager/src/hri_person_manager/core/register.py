@@ -175,13 +175,13 @@ class PersonRegister:
     """All permanent persons by id. What changes is known at once, and in the store, if there is one, after flush().
 
     flush() and expire() may take as long as a disk does: they belong in a thread of their own. The other methods never
-    wait for them; they are called by one thread at a time.
+    wait for them; they are called by one thread at a time, but said_of() and demographics() by any.
     """
 
     def __init__(self, store: Optional[RecordStore] = None, borrowed: Sequence[PersonRecord] = ()) -> None:
         """borrowed: records of read-only stores; they are known, and neither written nor changed."""
         self._store = store
-        self._lock = threading.Lock()      # of the next two
+        self._lock = threading.Lock()      # of what follows, for flush(), expire() and said_of()
         self._change = RecordChange()
         self._gone: List[str] = []
         self._records: Dict[str, PersonRecord] = {}
@@ -258,13 +258,14 @@ class PersonRegister:
     def said_of(self, person_id: str, merged: Iterable[str] = ()) -> Tuple[str, str]:
         """Return name and native language of a person, empty where nobody has told them; what is not told of the person
         itself is that of those merged into it, by the register or as `merged` names them."""
-        if self._merged is None:
-            self._merged = {}
-            for record in self._records.values():
-                if record.alias:
-                    self._merged.setdefault(record.alias, []).append(record.id)
-        ids = (person_id, *sorted({*merged, *self._merged.get(person_id, ())}))
-        said = [self._records[one] for one in ids if one in self._records]
+        with self._lock:
+            if self._merged is None:
+                self._merged = {}
+                for record in self._records.values():
+                    if record.alias:
+                        self._merged.setdefault(record.alias, []).append(record.id)
+            ids = (person_id, *sorted({*merged, *self._merged.get(person_id, ())}))
+            said = [self._records[one] for one in ids if one in self._records]
         return (next((record.name for record in said if record.name), ""),
                 next((record.native_language for record in said if record.native_language), ""))
 
@@ -375,8 +376,8 @@ class PersonRegister:
         count = len(self._records)
         with self._lock:
             self._change = RecordChange(everybody=True)
-        self._records.clear()
-        self._merged = None
+            self._records.clear()
+            self._merged = None
         self._demographics.clear()
         self._borrowed.clear()
         return count
@@ -400,8 +401,9 @@ class PersonRegister:
         return record
 
     def _drop(self, person_id: str) -> None:
-        self._merged = None
-        self._records.pop(person_id, None)
+        with self._lock:
+            self._merged = None
+            self._records.pop(person_id, None)
         self._demographics.pop(person_id, None)
 
     def _write(self, record: PersonRecord) -> None:
@@ -412,10 +414,10 @@ class PersonRegister:
             if replace(record, last_seen=before.last_seen, demographics=before.demographics) != before:
                 raise RegisterError(_BORROWED.format(record.id))
             return
-        self._records[record.id] = record
-        if record.alias != (before.alias if before is not None else ""):
-            self._merged = None
         with self._lock:
+            self._records[record.id] = record
+            if record.alias != (before.alias if before is not None else ""):
+                self._merged = None
             self._change.records[record.id] = record
 
 

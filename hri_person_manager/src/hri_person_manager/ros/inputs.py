@@ -25,7 +25,7 @@ _OTHERS_S = 5.0     # a list comes once a second
 LAG_S = 0.25        # for which places wait for the transforms of a camera that moves
 GRACE_S = 2.0       # wall time in which the transforms may still be on their way when everything starts
 _REMEMBERED_SENSORS = 50
-_LATE_S = (0.2, 0.5)    # by which transforms may be behind: beyond the first nothing is foreseen; each covers 0.35 s
+_LATE_S = 0.2       # by which transforms may be behind: beyond it nothing is foreseen
 _MISSED_S = 10.0    # wall time after which a sensor that nothing comes of is no longer told
 ALONG = 0.7         # cosine of an angle up to which a head points along an axis
 AS_SENSOR = 0.94    # the same between axes of a sensor and of the reference frame: fewer robots look up so steeply
@@ -107,10 +107,9 @@ class TfInput:
         """Return the pose of a sensor frame in the reference frame at `stamp`, else the latest; None without any."""
         return self._robot.lookup(sensor, stamp)
 
-    def is_late(self, sensor: str, stamp: genpy.Time) -> bool:
-        """Tell whether the transforms of a sensor that moves are so far behind that its pose at `stamp` is a guess."""
-        seconds = stamp.to_sec()
-        return seconds > 1.0 and any(self._robot.lags(sensor, genpy.Time.from_sec(seconds - late)) for late in _LATE_S)
+    def moves_until(self, sensor: str) -> Optional[float]:
+        """Return until when (s) the transforms of a sensor that moves have come, None for one that stands."""
+        return self._robot.moves_until(sensor)
 
     def between(self, target: str, frame: str, stamp: genpy.Time) -> Optional[Pose]:
         """Return the pose of a frame of the robot in another one, as lookup() does."""
@@ -187,6 +186,7 @@ class ReferenceFrame:
         self._missing: Dict[str, Tuple[float, float]] = {}      # sensor: since when, and when it was missed last
         self._warned: Set[str] = set()
         self._late: Dict[str, Tuple[float, float]] = {}         # the same of sensors whose transforms come late
+        self._moved_until: Dict[str, Optional[float]] = {}      # by their transforms (s), at the last look
         self._camera_votes, self._is_camera, self._camera_told, self._camera = 0, False, False, ""
         self._last: Tuple[str, genpy.Time, float, Optional[Pose]] = ("", genpy.Time(), 0.0, None)
 
@@ -221,8 +221,7 @@ class ReferenceFrame:
                 self._miss(pose.sensor)
             else:
                 self._missing.pop(pose.sensor, None)
-                if self._tf_input.is_late(pose.sensor, stamp):
-                    _note(self._late, pose.sensor)
+                self._compare_times(pose.sensor, seconds)
         if sensor is None:
             # Faces and bodies come in the optical frame of their camera, whatever it is called.
             return Place(pose.sensor, pose.pose, seconds, stamp, of_camera=pose.source != PlaceSource.VOICE)
@@ -231,6 +230,15 @@ class ReferenceFrame:
             self._see_axes(pose.sensor, sensor, found)
         return Place(self._frame, found, seconds, stamp, sensor.translation, camera=sensor,
                      of_camera=self._is_camera)
+
+    def _compare_times(self, sensor: str, stamp: float) -> None:
+        """Note where the transforms of a sensor that moves go on, but are so far behind `stamp` (s) that its pose is a
+        guess; those that have ended, as some do while the sensor stands, are not late."""
+        until, before = self._tf_input.moves_until(sensor), self._moved_until.get(sensor)
+        if sensor in self._moved_until or len(self._moved_until) < _REMEMBERED_SENSORS:
+            self._moved_until[sensor] = until
+        if until is not None and before is not None and before < until < stamp - _LATE_S:
+            _note(self._late, sensor)
 
     @property
     def problem(self) -> str:

@@ -305,16 +305,13 @@ class PersonServices:
         return ForgetResponse(True, "{} is forgotten".format(request.id))
 
     def _one_human(self, person_id: str) -> List[str]:
-        """The id and the others of the same human, its alias and those whose alias it or that one is, in the store and
-        as recognisers have found; no other anonymous ones."""
+        """The id and the others of the same human, there or not: all that are joined with it, and in the store their
+        aliases and those whose alias one of them is; no other anonymous ones."""
         if not person_id:       # which is the alias of whoever has none
             raise RegisterError("there is no known person ''")
+        human = {person_id} | self._manager.joined(person_id)     # also where the id was an anonymous one
         aliases = {(record.id, record.alias) for record in self._register.records if record.alias}
-        aliases |= {(state.id, state.alias) for state in self._manager.snapshot(rospy.get_time()).persons
-                    if state.alias and not state.anonymous}
-        in_use = self._manager.representative(person_id)      # also where the id was an anonymous one
-        human = {person_id} | ({in_use} if self._manager.is_permanent(in_use) else set())
-        human |= {alias for other, alias in aliases if other == person_id}
+        human |= {alias for other, alias in aliases if other in human}
         human |= {other for other, alias in aliases if alias in human}
         return [person_id] + sorted(human - {person_id})
 

@@ -12,7 +12,7 @@ import struct
 from bisect import bisect_left
 from collections import OrderedDict
 from functools import lru_cache
-from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Dict, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from hri_pipeline.core.geometry import Pose, Quaternion, Vector, quaternion_product, rotate, slerp, unit_quaternion
 
@@ -264,23 +264,30 @@ class FrameHistory:
 
     def lags(self, target: str, frame: str, stamp: float) -> bool:
         """Tell whether a link that moves is not known yet at a time (s), but soon will be."""
-        below, above = list(self._known_until(frame)), list(self._known_until(target))
-        common = next((ancestor for ancestor in above if ancestor in below), None)
-        return common is not None and any(
-            self._lags(link, stamp) for way in (below, above) for link in way[:way.index(common)])
+        return any(links[-1].stamp < stamp <= links[-1].stamp + AHEAD_S + _LONGEST_PERIOD_S and self._moves(link, links)
+                   for link, links in self._between_frames(target, frame))
 
-    def _lags(self, frame: str, stamp: float) -> bool:
-        links = self._moving.get(frame, [])
-        if len(links) < 2 or not links[-1].stamp < stamp <= links[-1].stamp + AHEAD_S + _LONGEST_PERIOD_S:
-            return False
-        if links[-1].stamp - links[-2].stamp > _LONGEST_PERIOD_S:
-            return False
+    def moves_until(self, target: str, frame: str) -> Optional[float]:
+        """Return until when (s) all links that move and come often are known; None where none is."""
+        return min((links[-1].stamp for link, links in self._between_frames(target, frame) if self._moves(link, links)),
+                   default=None)
+
+    def _between_frames(self, target: str, frame: str) -> Iterator[Tuple[str, List[_Link]]]:
+        """Yield what is known of each frame on the way that was heard of twice at least; none without a way."""
+        below, above = list(self._known_until(frame)), list(self._known_until(target))
+        common = [ancestor for ancestor in above if ancestor in below][:1]
+        for way in (below, above):
+            yield from ((link, self._moving[link]) for ancestor in common for link in way[:way.index(ancestor)]
+                        if len(self._moving.get(link, ())) > 1)
+
+    def _moves(self, frame: str, links: List[_Link]) -> bool:
+        """Tell whether a link comes often, and has moved a moment ago."""
         before = (self._at(frame, links[-1].stamp - span) for span in _PAUSES_S)
-        return any(link is not None and _has_moved(link, links[-1]) for link in before)
+        return links[-1].stamp - links[-2].stamp <= _LONGEST_PERIOD_S and any(
+            link is not None and _has_moved(link, links[-1]) for link in before)
 
     def _latest_common(self, target: str, frame: str) -> Optional[float]:
-        """Latest time (s) at which all moving links of the way are known; infinity where it has none, None without a
-        way."""
+        """Latest time (s) at which all moving links of the way are known; infinity without any, None without a way."""
         below, above = self._known_until(frame), self._known_until(target)
         return next((min(latest, below[ancestor]) for ancestor, latest in above.items() if ancestor in below), None)
 

@@ -335,6 +335,7 @@ class VoiceProcessor:
         """Start a new pipeline for this number of channels, without those that are broken microphones."""
         if self._channels:
             self.reset()
+        self._order = ()    # first: diagnostics read it meanwhile, and it is of the microphones before
         self._channels, self._broken = channels, broken
         self._barge_in = None
         if self._array_fits():

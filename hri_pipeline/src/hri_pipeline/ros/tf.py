@@ -130,6 +130,11 @@ class RobotTf:
         with self._lock:
             return self._history is not None and self._history.lags(self._reference, frame, stamp.to_sec())
 
+    def moves_until(self, frame: str) -> Optional[float]:
+        """Return until when (s) the transforms of a frame that moves have come, None for one that stands."""
+        with self._lock:
+            return self._history.moves_until(self._reference, frame) if self._history is not None else None
+
     def between(self, target: str, frame: str, stamp: genpy.Time) -> Optional[Pose]:
         """Return the pose of a frame in another one than the reference, as lookup() does."""
         if frame == target:
