@@ -79,6 +79,8 @@ LENS_COLOUR = 0.14
 skin, from which it mirrors. Of 148 bare faces .11 at most."""
 _LENS_PART, _LENS_CROP = 0.75, 50
 """Which part of an eye and its lids is darker than what is taken of it; and the size (px) of the crop."""
+_LENS_GRAIN = 5
+"""Side (px) of the squares over which colours of lenses are averaged: in dim light that of a pixel is noise."""
 _GLASSES_PERIOD, _GLASSES_OFF = 0.5, 2
 """Time (s) between two looks for dark glasses, and how many of a face that is not turned away show none until they are
 off."""
@@ -387,6 +389,7 @@ def _has_dark_lenses(crop: np.ndarray) -> bool:
 def _has_coloured_lenses(crop: np.ndarray) -> bool:
     """Whether lids, and what is below the eyes, have another colour than nose and cheeks on both sides: make-up ends
     above."""
+    crop = cv2.blur(crop, (_LENS_GRAIN, _LENS_GRAIN))
     skin = np.sum([_cut_part(crop, part).sum(axis=(0, 1)) for part in _BARE_PARTS], axis=0, dtype=np.float32)
     skin /= max(float(skin.sum()), 1.0)
     for part in _BELOW_EYES + _EYE_PARTS:
