@@ -52,7 +52,10 @@ SMEARED_DETAILS, SMEARED_ACROSS = 0.40, 0.65
 """Contrast of the details in the direction with least of them, over that of what is larger, and over that of details
 across it, below which a crop is blurred by motion. By 7 px of a face of 50, or 15 of 90, in two levels of noise: 85 to
 97 % of the crops of 25 people, and 35 % by 9 of 90. Out of focus by 4 px 12 %, 30 px wide 4, others 0 to 5 (clear,
-hats, hair, shade, hands, JPEG, smoothed)."""
+hats, hair, shade, hands, JPEG, smoothed). A lens or an analogue camera that is soft in one direction looks so, too."""
+SMEARED_PATIENCE_S, _SMEARED_STEP_S = 30.0, 2.0
+"""Time (s) after which a face all whose crops look blurred by motion is seen so by its camera; most of it that lies
+between two crops."""
 _FEATURES, _FEATURES_EDGE = (1.0, 2.5), 6
 """Deviations (px) of the two blurs between which the features of a face are, and what is left away at each side."""
 _GRAIN = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]], np.float32) / 6.0
@@ -253,7 +256,8 @@ class MotionBlur:
     def __init__(self) -> None:
         self._best = 0.0
         self._last: Optional[float] = None
-        self._uneven_for = 0.0
+        self._uneven_for = self._smeared_for = 0.0
+        self._smeared_at: Optional[float] = None
 
     def is_blurred(self, crop: np.ndarray, stamp: float) -> bool:
         """Take a crop (S, S, 3) uint8 BGR of the image at `stamp` (s); tell if it is blurred against the others."""
@@ -268,6 +272,17 @@ class MotionBlur:
         self._best = value if is_uneven else max(value, self._best)
         self._last, self._uneven_for = None, 0.0
         return False
+
+    def is_smeared(self, crop: np.ndarray, stamp: float) -> bool:
+        """Take a crop (S, S, 3) uint8 BGR of the image at `stamp` (s); tell if it looks blurred by itself, and not all
+        have done so for longer than a motion lasts."""
+        if not looks_smeared(crop):
+            self._smeared_at, self._smeared_for = None, 0.0
+            return False
+        if self._smeared_at is not None and stamp >= self._smeared_at:
+            self._smeared_for += min(stamp - self._smeared_at, _SMEARED_STEP_S)
+        self._smeared_at = stamp
+        return self._smeared_for < SMEARED_PATIENCE_S
 
 
 def evenness(crop: np.ndarray) -> float:
