@@ -82,8 +82,9 @@ LENS_COLOUR = 0.14
 skin, from which it mirrors. Of 148 bare faces .11 at most."""
 _LENS_PART, _LENS_CROP = 0.75, 50
 """Which part of an eye and its lids is darker than what is taken of it; and the size (px) of the crop."""
-_LENS_GRAIN = 5
-"""Side (px) of the squares over which colours of lenses are averaged: in dim light that of a pixel is noise."""
+_LENS_GRAIN, _LENS_LIGHT = 5, 90.0
+"""Side (px) of the squares over which colours of lenses are averaged, and the least light (sum of the colours) by which
+their difference is judged: in dim light the colours of pixels, and of blotches, are noise."""
 _GLASSES_PERIOD, _GLASSES_OFF = 0.5, 2
 """Time (s) between two looks for dark glasses, and how many of a face that is not turned away show none until they are
 off."""
@@ -411,7 +412,7 @@ def _has_coloured_lenses(crop: np.ndarray) -> bool:
         pixels = _cut_part(crop, part).reshape(-1, 3).astype(np.float32)
         apart = np.abs(pixels - pixels.sum(axis=1, keepdims=True) * skin).sum(axis=1)
         # The median, without sorting.
-        if 2 * np.count_nonzero(apart > LENS_COLOUR * np.maximum(pixels.sum(axis=1), 1.0)) <= len(apart):
+        if 2 * np.count_nonzero(apart > LENS_COLOUR * np.maximum(pixels.sum(axis=1), _LENS_LIGHT)) <= len(apart):
             return False
     return True
 
