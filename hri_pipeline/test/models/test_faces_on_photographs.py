@@ -157,13 +157,16 @@ def test_after_a_zoom_nobody_is_told_without_a_look():
     assert ids(seen[-1]) == ids(seen[-2]) and all(face.measured for face in seen[-1])
 
 
-def test_by_a_focal_length_that_is_told_anew_every_face_is_elsewhere_at_once():
-    """Faces glided there, and who was not looked at waited for his turn."""
+@pytest.mark.parametrize("dark", [0, 3])
+def test_by_a_focal_length_that_is_told_anew_every_face_is_elsewhere_at_once(dark):
+    """Faces glided there, and who was not looked at waited for his turn. dark: so many images show nothing first."""
     stage = FacePipeline(FACES.resolve({"face_mesh_rate": 2.0, "face_budget": 1000.0, "cpu_share": 0.0}))
     image = cv2.resize(photograph("sample1"), (960, 640), interpolation=cv2.INTER_AREA)
     before = watch(stage, [image] * 20)[-1]
     camera = CameraModel.from_fov(960, 640, 2.0 * math.atan(math.tan(0.5 * HFOV) / 1.8))
-    after = stage.update(image, camera, 1000.0 + 20 * STEP)
+    for number in range(dark):
+        assert not stage.update(np.zeros_like(image), camera, 1000.0 + (20 + number) * STEP)
+    after = stage.update(image, camera, 1000.0 + (20 + dark) * STEP)
     assert len(before) == 3 and ids(after) == ids(before)
     for old, new in zip(before, after):
         assert new.measured and np.linalg.norm(new.pose.translation) == pytest.approx(

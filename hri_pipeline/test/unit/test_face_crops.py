@@ -218,3 +218,20 @@ def test_lenses_that_mirror_in_a_colour_are_found_in_light_of_any_colour_and_mak
     assert not behind_dark_glasses(coloured_face((96, 120, 152))), "the shade of skin"
     for skin in ((190, 150, 120), (60, 70, 200), (0, 0, 0)):
         assert not behind_dark_glasses(coloured_face(skin, skin)), "in light of a colour, and without any"
+
+
+@pytest.mark.parametrize("blotches", [False, True])
+def test_noise_in_dim_light_is_no_colour_of_lenses(blotches):
+    random = np.random.default_rng(4)
+
+    def noisy(crop):
+        small = cv2.resize(crop, (50, 50), interpolation=cv2.INTER_AREA)
+        noise = random.normal(0.0, 4.0, small.shape)
+        if blotches:
+            noise = 4.0 * cv2.GaussianBlur(noise, (0, 0), 3.0) / cv2.GaussianBlur(noise, (0, 0), 3.0).std()
+        return np.clip(small + noise, 0.0, 255.0).round().astype(np.uint8)
+
+    skin = (10, 12, 16)
+    assert not any(behind_dark_glasses(noisy(coloured_face(skin, skin))) for _ in range(40))
+    mirrors = coloured_face((44, 28, 16), skin)
+    assert sum(behind_dark_glasses(noisy(mirrors)) for _ in range(40)) >= 36, "bright blue ones"

@@ -11,7 +11,7 @@ import pytest
 from benchmarks.recognition import SIZE, template
 from benchmarks.store import write_locked
 from hri_pipeline.core.faces.analysis import FaceAnalysis
-from hri_pipeline.core.faces.crops import BLUR_PATIENCE_S, MotionBlur, looks_smeared
+from hri_pipeline.core.faces.crops import BLUR_PATIENCE_S, SMEARED_PATIENCE_S, MotionBlur, looks_smeared
 from hri_pipeline.core.faces.pipeline import FacePipeline
 from hri_pipeline.core.ids import IdGenerator, is_valid_id
 from hri_pipeline.core.image_rotation import ImageRotation
@@ -1084,6 +1084,23 @@ def test_who_is_blurred_since_coming_into_view_is_not_learnt_until_that_ends():
     with pytest.raises(ValueError, match="blurred by motion only"):
         recogniser.enrol("f1")
     assert seen_by(recognition, "f1", 1, None, np.arange(110.0, 114.0, STEP)) in recogniser.list_known()
+
+
+def test_before_a_camera_that_is_soft_in_one_direction_people_are_learnt_after_a_while():
+    """To it all faces look blurred by motion: nobody was learnt for ever."""
+    recognition = recognition_of(lambda crops: None)
+    end = 100.0 + SMEARED_PATIENCE_S
+    assert seen_by(recognition, "f1", 1, (1, 0), np.arange(100.0, end - 2.0, STEP)) == ""
+    assert seen_by(recognition, "f1", 1, (1, 0), np.arange(end - 2.0, end + 15.0, STEP)) in (
+        recognition.recogniser.list_known())
+
+
+def test_crops_long_after_each_other_do_not_tell_that_a_face_stays_blurred():
+    blur, smeared = MotionBlur(), face_picture(direction=(1, 0), reach=12)
+    assert all(blur.is_smeared(smeared, stamp) for stamp in (0.0, 60.0, 120.0, 100.0))
+    assert not blur.is_smeared(face_picture(), 101.0)
+    told = [blur.is_smeared(smeared, 102.0 + number) for number in range(40)]
+    assert told == [True] * int(SMEARED_PATIENCE_S) + [False] * (40 - int(SMEARED_PATIENCE_S))
 
 
 def test_who_is_known_is_found_though_blurred_and_no_view_is_learnt_of_that():

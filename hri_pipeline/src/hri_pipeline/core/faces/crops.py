@@ -52,7 +52,10 @@ SMEARED_DETAILS, SMEARED_ACROSS = 0.40, 0.65
 """Contrast of the details in the direction with least of them, over that of what is larger, and over that of details
 across it, below which a crop is blurred by motion. By 7 px of a face of 50, or 15 of 90, in two levels of noise: 85 to
 97 % of the crops of 25 people, and 35 % by 9 of 90. Out of focus by 4 px 12 %, 30 px wide 4, others 0 to 5 (clear,
-hats, hair, shade, hands, JPEG, smoothed)."""
+hats, hair, shade, hands, JPEG, smoothed). A lens or an analogue camera that is soft in one direction looks so, too."""
+SMEARED_PATIENCE_S, _SMEARED_STEP_S = 30.0, 2.0
+"""Time (s) after which a face all whose crops look blurred by motion is seen so by its camera; most of it that lies
+between two crops."""
 _FEATURES, _FEATURES_EDGE = (1.0, 2.5), 6
 """Deviations (px) of the two blurs between which the features of a face are, and what is left away at each side."""
 _GRAIN = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]], np.float32) / 6.0
@@ -79,6 +82,9 @@ LENS_COLOUR = 0.14
 skin, from which it mirrors. Of 148 bare faces .11 at most."""
 _LENS_PART, _LENS_CROP = 0.75, 50
 """Which part of an eye and its lids is darker than what is taken of it; and the size (px) of the crop."""
+_LENS_GRAIN, _LENS_LIGHT = 5, 90.0
+"""Side (px) of the squares over which colours of lenses are averaged, and the least light (sum of the colours) by which
+their difference is judged: in dim light the colours of pixels, and of blotches, are noise."""
 _GLASSES_PERIOD, _GLASSES_OFF = 0.5, 2
 """Time (s) between two looks for dark glasses, and how many of a face that is not turned away show none until they are
 off."""
@@ -251,7 +257,8 @@ class MotionBlur:
     def __init__(self) -> None:
         self._best = 0.0
         self._last: Optional[float] = None
-        self._uneven_for = 0.0
+        self._uneven_for = self._smeared_for = 0.0
+        self._smeared_at: Optional[float] = None
 
     def is_blurred(self, crop: np.ndarray, stamp: float) -> bool:
         """Take a crop (S, S, 3) uint8 BGR of the image at `stamp` (s); tell if it is blurred against the others."""
@@ -266,6 +273,17 @@ class MotionBlur:
         self._best = value if is_uneven else max(value, self._best)
         self._last, self._uneven_for = None, 0.0
         return False
+
+    def is_smeared(self, crop: np.ndarray, stamp: float) -> bool:
+        """Take a crop (S, S, 3) uint8 BGR of the image at `stamp` (s); tell if it looks blurred by itself, and not all
+        have done so for longer than a motion lasts."""
+        if not looks_smeared(crop):
+            self._smeared_at, self._smeared_for = None, 0.0
+            return False
+        if self._smeared_at is not None and stamp >= self._smeared_at:
+            self._smeared_for += min(stamp - self._smeared_at, _SMEARED_STEP_S)
+        self._smeared_at = stamp
+        return self._smeared_for < SMEARED_PATIENCE_S
 
 
 def evenness(crop: np.ndarray) -> float:
@@ -387,13 +405,14 @@ def _has_dark_lenses(crop: np.ndarray) -> bool:
 def _has_coloured_lenses(crop: np.ndarray) -> bool:
     """Whether lids, and what is below the eyes, have another colour than nose and cheeks on both sides: make-up ends
     above."""
+    crop = cv2.blur(crop, (_LENS_GRAIN, _LENS_GRAIN))
     skin = np.sum([_cut_part(crop, part).sum(axis=(0, 1)) for part in _BARE_PARTS], axis=0, dtype=np.float32)
     skin /= max(float(skin.sum()), 1.0)
     for part in _BELOW_EYES + _EYE_PARTS:
         pixels = _cut_part(crop, part).reshape(-1, 3).astype(np.float32)
         apart = np.abs(pixels - pixels.sum(axis=1, keepdims=True) * skin).sum(axis=1)
         # The median, without sorting.
-        if 2 * np.count_nonzero(apart > LENS_COLOUR * np.maximum(pixels.sum(axis=1), 1.0)) <= len(apart):
+        if 2 * np.count_nonzero(apart > LENS_COLOUR * np.maximum(pixels.sum(axis=1), _LENS_LIGHT)) <= len(apart):
             return False
     return True
 

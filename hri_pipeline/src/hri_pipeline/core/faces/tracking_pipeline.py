@@ -186,18 +186,18 @@ class FaceTrackingPipeline:
         camera
             Camera model of the image's size, for what the networks see of faces; None: not known.
         """
-        told_anew = camera is not None and self._camera is not None and camera.is_told_anew(self._camera)
-        self._camera = camera
         with self._times("face_flow"):
             was_blank, cut = self._cuts.blank, self._cuts.update(bgr, stamp)
             if self._cuts.blank and stamp - self._cuts.shown_at <= self._longest_dark:
-                self.detected = False
+                self.detected = self.sees_anew = False
                 return []
             if was_blank and not self._cuts.blank:
                 self._search_anew(stamp)
             if self._cuts.jump is not None:
                 self._jump(self._cuts.jump, stamp)
             self._predict(bgr, stamp)
+        before, self._camera = self._camera, camera
+        told_anew = camera is not None and before is not None and camera.is_told_anew(before)
         self.sees_anew = told_anew or self._cuts.jump is not None
         expected = self._tracker.expected(stamp)
         self._mesh_scheduler.share_among(self._mesh.threads, together=self._mesh.together_on_card(len(expected)))
@@ -256,6 +256,7 @@ class FaceTrackingPipeline:
         self._cuts.reset()
         self._orientation.reset()
         self._anew_at = self._panned_at = -np.inf
+        self._camera = None
 
     def _ask_about_doubted(self, bgr: np.ndarray, stamp: float, present: Set[str]) -> None:
         """Find out what is around new faces that are not sure, of those that are in this image by their ids."""

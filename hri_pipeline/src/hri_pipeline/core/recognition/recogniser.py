@@ -13,7 +13,6 @@ from typing import Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
-from hri_pipeline.core.faces.crops import looks_smeared
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.recognition.face_identity import (
@@ -137,7 +136,7 @@ class Recogniser:
             if face.blur.is_blurred(crop, stamp):
                 face.passed_over = stamp
                 return True
-            face.is_smeared = looks_smeared(crop)
+            face.is_smeared = face.blur.is_smeared(crop, stamp)
             return False
 
     def asks_for_cover(self, face_id: str, template: np.ndarray, stamp: float) -> bool:
@@ -290,7 +289,7 @@ class Recogniser:
             if face.is_unlike_itself and not face.evidence.good(LEARN_QUALITY) and not confirm:
                 raise GalleryError("face {!r} has been seen {}, or confirm".format(
                     face_id, "with dark glasses only: take them off" if face.has_dark_glasses else
-                    "blurred by motion only: wait until it holds still"))
+                    "blurred by motion only: wait until it holds still, or is nearer"))
             person_id = person_id or ("" if confirm else face.person) or self._new_id()
             alike = [one.person_id for one in self.gallery.alike(
                 template, self.gallery.calibration.fair_midpoint, person_id) if one.person_id not in face.apart]
