@@ -68,10 +68,10 @@ class Network:
     """Stands for the recognition network: people are told apart by the grey values of their crops; counts its runs."""
 
     def __init__(self):
-        self.runs = 0
+        self.runs = self.templates = 0
 
     def __call__(self, crops):
-        self.runs += 1
+        self.runs, self.templates = self.runs + 1, self.templates + len(crops)
         grey = np.array([cv2.resize(cv2.cvtColor(crop, cv2.COLOR_BGR2GRAY), (8, 8)).ravel() for crop in crops], float)
         grey -= grey.mean(axis=1, keepdims=True)
         return (grey / np.linalg.norm(grey, axis=1, keepdims=True)).astype(np.float32)
@@ -326,6 +326,18 @@ def test_the_network_runs_seldom_on_a_face_that_goes_on():
     assert 1 <= network.runs <= 6
 
 
+def test_a_face_without_a_template_is_compared_with_its_oldest_view():
+    """Who is not looked at by recognition (turned away, or nobody asks who people are) cost six templates at once."""
+    network, image = Network(), scene((1, 200))
+    judge = AppearanceMatcher(network, 150, 0.8)
+    memory = judge.begin(look(image, 200), 0.0)
+    for stamp in (0.5, 1.0, 1.5, 2.0):
+        judge.remember(memory, look(image, 200), stamp)
+    assert judge.verdict(memory, look(image, 200), CHECK_PERIOD) is Verdict.SAME and network.templates == 2
+    assert memory.views[0].template is not None
+    assert judge.verdict(memory, look(scene((2, 200)), 200), CHECK_PERIOD) is Verdict.OTHER
+
+
 @pytest.mark.parametrize("given", [True, False])
 def test_templates_that_recognition_has_made_replace_the_checks(given):
     """Ten faces were asked of the network five times a second beside recognition, which had just asked it. A face of
@@ -340,6 +352,30 @@ def test_templates_that_recognition_has_made_replace_the_checks(given):
             faces.take_templates({name: other([face_chip(image, mesh(200), 150)])[0]}, stamp)
     checks = 300 * STEP / CHECK_PERIOD
     assert network.runs == 1 if given else network.runs >= checks - 2, "one template to compare with"
+
+
+def test_the_first_template_of_recognition_is_the_one_to_compare_with():
+    """Ten people who came together were asked of the network once more after 3 s, with all their views: in six images
+    for 12 templates each."""
+    network, other = Network(), Network()
+    judge, image = AppearanceMatcher(network, 150, 0.8), scene((1, 200))
+    memory = judge.begin(look(image, 200), 0.0)
+    for stamp in (0.5, 1.0, 1.5):
+        judge.remember(memory, look(image, 200), stamp)
+    judge.take_template(memory, other([face_chip(image, mesh(200), 150)])[0], 1.5)
+    assert memory.checked == 0.0, "there was nothing to compare with"
+    assert judge.verdict(memory, look(image, 200), CHECK_PERIOD) is Verdict.SAME and network.runs == 1
+    assert judge.verdict(memory, look(scene((2, 200)), 200), CHECK_PERIOD) is Verdict.OTHER
+
+
+@pytest.mark.parametrize("image, is_taken", [(scene((1, 200)), True), (shaken(scene((1, 200))), False),
+                                             (np.full((400, 800, 3), 255, np.uint8), False)])
+def test_of_a_spoilt_look_there_is_no_first_template(image, is_taken):
+    judge, sharp = AppearanceMatcher(Network(), 150, 0.8), scene((1, 200))
+    memory = judge.begin(look(sharp, 200), 0.0)
+    judge.remember(memory, look(image, 200), 1.0)
+    judge.take_template(memory, np.ones(64, np.float32) / 8.0, 1.0)
+    assert any(view.template is not None for view in memory.views) is is_taken
 
 
 def test_templates_go_to_their_faces_unless_these_are_in_doubt(monkeypatch):

@@ -237,6 +237,31 @@ def test_by_faces_the_best_of_four_orientations_is_told_within_a_minute(turn):
     assert orientation.turn == turn and (turn or detect.calls == 8)
 
 
+def test_the_four_orientations_of_one_image_are_compared_in_four_images():
+    """All in one image they made it the dearest of ten seconds."""
+    orientation, detect = FaceOrientation(), Faces(0.9, 0.7, 0.6, 0.85)
+    calls = []
+    for step in range(120):     # who comes later changes nothing of a comparison that has begun
+        of = IMAGE if step in (0, 100) else np.rot90(IMAGE, 2)
+        orientation.update(of, 0.1 * step, detect)
+        calls.append(detect.calls)
+    assert max(np.diff([0] + calls)) == 1 and orientation.turn == 0 and detect.calls == 8
+
+
+def test_an_orientation_that_could_not_be_asked_about_is_asked_about_again():
+    orientation, detect = FaceOrientation(), Faces(0.9, 0.7, 0.6, 0.85)
+    orientation.update(IMAGE, 0.0, detect)
+    with pytest.raises(RuntimeError):
+        orientation.update(IMAGE, 0.1, failing)
+    for step in range(2, 120):
+        orientation.update(IMAGE, 0.1 * step, detect)
+    assert orientation.turn == 0 and detect.calls == 8
+
+
+def failing(image):
+    raise RuntimeError("no memory")
+
+
 def test_faces_that_are_unclear_or_as_clear_in_two_orientations_tell_nothing():
     for scores in ((0.8, 0.5, 0.3, 0.3), (0.9, 0.5, 0.3, 0.89), (0.3, 0.5, 0.81, 0.3)):
         orientation, detect = FaceOrientation(), Faces(*scores)

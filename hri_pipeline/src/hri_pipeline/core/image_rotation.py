@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Callable, Optional, Tuple
+from typing import Callable, List, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -297,6 +297,8 @@ class FaceOrientation:
         self.turn: Optional[int] = None
         self._next = -math.inf
         self._last: Optional[int] = None
+        self._image: Optional[np.ndarray] = None    # whose orientations are asked about
+        self._scores: List[float] = []
 
     def images_turn(self) -> None:
         """Take note that images are turned otherwise from now on: of turned people nothing is known any more, and
@@ -305,11 +307,22 @@ class FaceOrientation:
             self.reset()
 
     def update(self, image: np.ndarray, stamp: float, detect: Detect) -> None:
-        """Take an image of `stamp` (s); every 10 s `detect` is asked about its four orientations."""
-        if self.turn == 0 or stamp < self._next:
+        """Take an image of `stamp` (s), that nobody writes to; every 10 s `detect` is asked about the four orientations
+        of one, in as many calls: it costs time."""
+        if self.turn == 0:
             return
-        self._next = stamp + _CHECK_S
-        best = [float(np.max(detect(np.ascontiguousarray(np.rot90(image, turn)))[1], initial=0.0)) for turn in range(4)]
+        if self._image is None:
+            if stamp < self._next:
+                return
+            self._next, self._image, self._scores = stamp + _CHECK_S, image, []
+        found = detect(np.ascontiguousarray(np.rot90(self._image, len(self._scores))))[1]
+        self._scores.append(float(np.max(found, initial=0.0)))
+        if len(self._scores) == len(_TURNS):
+            self._image = None
+            self._compare(self._scores)
+
+    def _compare(self, best: Sequence[float]) -> None:
+        """Take the best scores of one image by its turn."""
         turn = int(np.argmax(best))
         _, second, first = sorted(best)[-3:]
         if first < _CLEAR_FACE or first - second < _BETTER:

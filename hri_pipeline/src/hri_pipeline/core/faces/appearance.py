@@ -274,20 +274,29 @@ class AppearanceMatcher:
 
     def take_template(self, memory: FaceMemory, template: np.ndarray, stamp: float) -> None:
         """Take a template (D,) that recognition has made of the last look, at `stamp` (s): where it is near the known
-        ones, no other one is needed for a check."""
-        known = [view.template for view in memory.views if view.template is not None]
-        if self._embed is None or not known or memory.last_stamp != stamp or memory.last.template is not None:
-            return
+        ones, no other one is needed for a check. The first one of an unspoilt look is what others are compared with."""
         look = memory.last
-        if look.eyes < LEAST_EYES:
+        if (self._embed is None or memory.last_stamp != stamp or look.template is not None
+                or look.eyes < LEAST_EYES):
+            return
+        known = [view.template for view in memory.views if view.template is not None]
+        if not known and not self._is_unspoilt(memory, look):
             return
         self._keep(look)
         look.template = template
-        if self._from_mean(look, known) <= SAME_PART * self._equal:
+        if not known:
+            memory.make_view(stamp)
+        elif self._from_mean(look, known) <= SAME_PART * self._equal:
             memory.checked = stamp
             memory.make_view(stamp)
         else:
             look.template = None
+
+    def _is_unspoilt(self, memory: FaceMemory, look: FaceLook) -> bool:
+        """Whether a look is neither burnt white nor, against any view, blurred by motion."""
+        if not look.prepare(self._size, self._alignment):
+            return False
+        return not any(look.is_smeared(view) for view in memory.views if view.prepare(self._size, self._alignment))
 
     def is_found(self, memory: FaceMemory, look: FaceLook) -> bool:
         """Return whether a look anywhere in the picture shows the face that is remembered for certain."""
@@ -333,12 +342,14 @@ class AppearanceMatcher:
         return stamp - memory.blurred_since < BLURRED_S
 
     def _is_near_known_views(self, memory: FaceMemory, look: FaceLook) -> bool:
-        """Whether the views whose templates are there tell that it is the same face: one inference instead of six."""
-        known = [view.template for view in memory.views if view.template is not None]
+        """Whether the views whose templates are there, or else the oldest one, tell that it is the same face: one or
+        two inferences instead of six."""
+        known = [view for view in memory.views if view.template is not None] or self._views(memory)[:1]
         if self._embed is None or not known or not look.prepare(self._size, self._alignment):
             return False
-        self._fill([look])
-        return self._from_mean(look, known) <= SAME_PART * self._equal
+        self._fill([look] + known)
+        return self._from_mean(look, [view.template for view in known
+                                      if view.template is not None]) <= SAME_PART * self._equal
 
     @staticmethod
     def _from_mean(look: FaceLook, templates: Sequence[np.ndarray]) -> float:
