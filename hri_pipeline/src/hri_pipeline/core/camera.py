@@ -210,6 +210,11 @@ class CameraModel:
         distortion = np.asarray(D, dtype=np.float64).reshape(-1)
         return cls(image_width, image_height, matrix, distortion, distortion_model, Calibration.CALIBRATED)
 
+    @property
+    def _is_bent(self) -> bool:
+        """Whether the lens draws straight lines as curves."""
+        return bool(self.distortion.size) or self.distortion_model == EQUIDISTANT
+
     def normalise(self, pixels: np.ndarray) -> np.ndarray:
         """Map pixels to undistorted rays of the optical frame.
 
@@ -224,7 +229,7 @@ class CameraModel:
             x/z and y/z; of a fisheye camera at most tan(88 deg) from the axis.
         """
         pixels = self._sheared(np.asarray(pixels, dtype=np.float64).reshape(-1, 2), -1.0)
-        if not self.distortion.size and self.distortion_model != EQUIDISTANT:
+        if not self._is_bent:
             rays = np.empty_like(pixels)
             rays[:, 0] = (pixels[:, 0] - self.matrix[0, 2]) / self.matrix[0, 0]
             rays[:, 1] = (pixels[:, 1] - self.matrix[1, 2]) / self.matrix[1, 1]
@@ -257,7 +262,7 @@ class CameraModel:
             return result
         seen = np.ascontiguousarray(points[ahead][:, None, :])
         none = np.zeros(3)
-        if not self.distortion.size and self.distortion_model != EQUIDISTANT:
+        if not self._is_bent:
             # OpenCV takes 0.02 ms for a single point.
             pixels = seen[..., :2] / seen[..., 2:] * self.matrix[[0, 1], [0, 1]] + self.matrix[:2, 2]
         elif self.distortion_model == EQUIDISTANT:
@@ -348,7 +353,7 @@ class CameraModel:
             return None
         # As large as in the image, in area: what is told in px there means the same.
         focal = math.sqrt(width * height / max(_area(seen), 1e-12))
-        if self.distortion.size or self.distortion_model == EQUIDISTANT:
+        if self._is_bent:
             return FacingView(self, turn, focal, None)
         return FacingView(self, turn, focal, cv2.getPerspectiveTransform(
             (focal * seen).astype(np.float32), box.astype(np.float32)))
@@ -375,7 +380,7 @@ class CameraModel:
 
     def _holds(self, pixels: np.ndarray, rays: np.ndarray) -> bool:
         """Return whether all rays (N, 2) are seen at their pixels (N, 2): beyond its edge a model gives anything."""
-        if not self.distortion.size and self.distortion_model != EQUIDISTANT:
+        if not self._is_bent:
             return True
         seen = self.project(np.concatenate([rays, np.ones((len(rays), 1))], axis=1))
         return bool((np.abs(seen - pixels) < _SEEN_AGAIN).all())
@@ -387,7 +392,7 @@ class CameraModel:
         farthest = np.array([[away[0], away[1], 1.0]]) @ turn
         if farthest[0, 2] < _LEAST_AHEAD * math.sqrt(1.0 + float(away @ away)):
             return False
-        if not self.distortion.size and self.distortion_model != EQUIDISTANT:
+        if not self._is_bent:
             return True
         again = self.normalise(self.project(farthest))
         return bool((np.abs(again - farthest[:, :2] / farthest[:, 2:]) < _RAY_AGAIN).all())
